@@ -27,10 +27,10 @@ import numpy as np
 from armrig.cli import main as command
 from armrig.excitation.demonstration import experiments
 from armrig.excitation.pace import Pace, pace_of
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.errors import InputError, OperationError
 from armrig_core.rig.description import Description, read_description
-from armrig_daemon.config import Config, Timing
+from armrig_daemon.config import Config, TimingTable
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from numpy.random import Generator
@@ -166,7 +166,7 @@ def recorded(
 ) -> list[Path]:
     """Play the suggested experiments, each from rest."""
     files: list[Path] = []
-    config = Config(timing=Timing(Ts=pace.Ts / pace.every))
+    config = Config(timing=TimingTable(Ts=pace.Ts / pace.every))
     for i, one in enumerate(experiments(pace, 1)):
         service = VirtualService(
             config, folder, seed=rig.seed % 1000 + i, description=described,
@@ -174,7 +174,7 @@ def recorded(
         )  # fmt: skip
         request = one.of_the_device()
         try:
-            files.append(service.record(Run(lease=LEASE, n=1, **request)))
+            files.append(service.record(RunRequest(lease=LEASE, n=1, **request)))
         except (OperationError, InputError) as err:
             found.outcome = "an experiment was refused or stopped"
             found.wrong.append(f"{one.name}: {err}")

@@ -17,7 +17,7 @@ from typing import Any
 
 import armrig
 import numpy as np
-from armrig.validation.advice import tested
+from armrig.validation.advice import preliminary_tests
 from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.signal import lfilter
@@ -154,7 +154,7 @@ def codes(data: armrig.Dataset, *, search: bool = False) -> dict[str, Any]:
     """Return the codes of all verdicts on the data; a refusal is the name of its exception."""
 
     def of_tests() -> list[Any]:
-        known = tested(data, None, None)
+        known = preliminary_tests(data, None, None)
         late = known.late
         decided = known.integration
         return [

@@ -20,10 +20,10 @@ from typing import Any
 
 import armrig
 import numpy as np
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.errors import FileError, InputError, OperationError
 from armrig_core.rig.description import Description, read_description
-from armrig_daemon.config import Config, Limits, Timing
+from armrig_daemon.config import Config, Limits, TimingTable
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from msgspec.structs import replace
@@ -265,7 +265,7 @@ def judged(rig: DrawnRig, folder: Path) -> Verdict:
     u = np.where(np.cumsum(levels) % 2 == 0, high, low)
     allowed = high <= top + 1e-9
     try:
-        config = Config(timing=Timing(Ts=rig.Ts), limits=Limits(u_max_v=rig.limit_v))
+        config = Config(timing=TimingTable(Ts=rig.Ts), limits=Limits(u_max_v=rig.limit_v))
         config.check_limits(plant, {"u_max_v": "drawn"})
     except InputError:
         found.outcome = "limit wider than the rig's refused"
@@ -282,7 +282,7 @@ def judged(rig: DrawnRig, folder: Path) -> Verdict:
     )  # fmt: skip
     expected = stopped(rig, u)
     try:
-        file = service.record(Run(lease=LEASE, n=1, u=u.tolist(), experiment="drawn"))
+        file = service.record(RunRequest(lease=LEASE, n=1, u=u.tolist(), experiment="drawn"))
     except (OperationError, InputError) as err:
         found.outcome = "stopped or refused in time"
         if allowed and expected is False:

@@ -195,7 +195,7 @@ def _of_rows(rng: Generator, shape: Shape) -> Plant:
         nk=((nk,) * nu,) * ny,
         integrators=(False,) * ny,
     )
-    if np.max(np.abs(np.linalg.eigvals(form.realised().A)), initial=0) > 0.95:
+    if np.max(np.abs(np.linalg.eigvals(form.innovations_form().A)), initial=0) > 0.95:
         return _of_rows(rng, shape)
     return Plant(
         respond=respond,
@@ -371,7 +371,7 @@ def prediction_error(seed: int, i: int) -> tuple[Shape, float, float]:
     while True:
         shape = drawn_shape(rng, kind_of(i))
         plant = drawn_plant(rng, shape)
-        system = plant.form.realised()
+        system = plant.form.innovations_form()
         if shape.kind != "greybox" and system.order <= 12:
             break
         i += 1

@@ -11,11 +11,11 @@ from typing import Any
 from xml.etree import ElementTree
 
 from armrig.dashboard.foxglove import layouts
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 
-ARM = shipped("arm")
+ARM = builtin("arm")
 Kinds = dict[str, str]
 """`number` or `text` by topic and field, such as /rig/1/sample.alpha_rad; "" for a topic."""
 

@@ -11,7 +11,7 @@ import control
 import numpy as np
 from armrig import ArmParameters, Dataset, Fit, Signals
 from armrig.models.structure import Structure
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
@@ -47,7 +47,7 @@ def polynomial(rng: Draw, order: int, *, slow: bool = True) -> Vector:
 def _coloured(N: int, rng: Draw) -> Vector:
     """Return noise through a random filter with poles and zeros."""
     B, A = polynomial(rng, int(rng.integers(0, 3))), polynomial(rng, int(rng.integers(1, 4)))
-    return filtered(B, A, rng.standard_normal(N))
+    return apply_filter(B, A, rng.standard_normal(N))
 
 
 def _twelve_sines(N: int, rng: Draw) -> Vector:
@@ -94,9 +94,9 @@ def drawn_model(kind: str, rng: Draw) -> tuple[Dataset, Structure, Vector, str]:
     nc, nd = int(rng.integers(1, 4)), int(rng.integers(1, 4))
     F, B = polynomial(rng, n), np.append(np.zeros(nk), rng.standard_normal(nb))
     C, D = polynomial(rng, nc), polynomial(rng, nd, slow=False)
-    clean = filtered(B, F, u)
+    clean = apply_filter(B, F, u)
     noise = {"OE": ([1.0], [1.0]), "ARMAX": (C, F), "BJ": (C, D)}[kind]
-    v = filtered(*noise, rng.standard_normal(N))
+    v = apply_filter(*noise, rng.standard_normal(N))
     level_db = float(rng.choice([0, 10, 20, 35, 40]))
     v *= np.std(clean) / np.std(v) * 10 ** (-level_db / 20)
     data = Dataset(u=u, y=clean + v, Ts=float(rng.choice([0.01, 0.1, 1.0])))
@@ -151,9 +151,9 @@ def delayed_plant(seed: int) -> DelayedPlant:
     name, N = str(rng.choice(["PRBS", *INPUTS])), int(rng.choice(LENGTHS))
     u = INPUTS[name](N + _BEFORE, rng) if name != "PRBS" else _prbs(N + _BEFORE, rng)
     u = u - np.mean(u) if integrator else u
-    clean = filtered(np.append(np.zeros(nk), B), F, u)[_BEFORE:]
+    clean = apply_filter(np.append(np.zeros(nk), B), F, u)[_BEFORE:]
     D = polynomial(rng, int(rng.integers(1, 3)), slow=False) if rng.random() < 0.5 else np.ones(1)
-    v = filtered([1.0], D, rng.standard_normal(N + _BEFORE))[_BEFORE:]
+    v = apply_filter([1.0], D, rng.standard_normal(N + _BEFORE))[_BEFORE:]
     noise = float(np.std(clean) / np.std(v)) * v
     structure = (B.size, F.size - 1, nk)
     return DelayedPlant(structure=structure, Ts=Ts, u=u[_BEFORE:], clean=clean, noise=noise)
@@ -251,8 +251,10 @@ def chassis_and_arm(seed: int) -> MultivariablePlant:
 
     def simulate(rng: Draw, N: int) -> tuple[Array, Array, dict[str, Any]]:
         u = telegraphs(rng, N, 1)
-        clean = np.column_stack([filtered(B[0], whole, u[:, 0]), filtered(B[1], F, u[:, 0])])
-        size = [np.std(filtered(B[0], F, u[:, 0])), np.std(clean[:, 1])]
+        clean = np.column_stack(
+            [apply_filter(B[0], whole, u[:, 0]), apply_filter(B[1], F, u[:, 0])]
+        )
+        size = [np.std(apply_filter(B[0], F, u[:, 0])), np.std(clean[:, 1])]
         e = rng.standard_normal((N, 2)) @ np.linalg.cholesky(NOISE_COVARIANCE).T
         return u, clean + np.sqrt(NOISE_SHARE) * e * size, {"outputs": ["chassis", "arm"]}
 

@@ -1060,7 +1060,7 @@ def named_signal() -> Variants:
     from armrig.excitation import named_signals as n
 
     for name in n.NAMES:
-        yield name, n.named_signal(name, 90, 0.01, a=0.1, low=1.0, high=4.0, seed=3)
+        yield name, n.signal_by_name(name, 90, 0.01, a=0.1, low=1.0, high=4.0, seed=3)
     yield "step", n.step_at(50, 0.02, low=1.0, high=2.0, at=0.3)
     yield "levels", n.up_and_down(60, low=1.0, high=3.0, levels=4)
     yield "realisations", n.realisations(120, 3, 0.5, 4.5, 2, periods=2)
@@ -1384,7 +1384,7 @@ def of_recordings() -> Variants:
     from armrig.recordings.recording import export_columns
 
     for start in HIDDEN:
-        yield f"hidden {start}", findings.hidden_step(armrig.load(hidden(start)))
+        yield f"hidden {start}", findings.check_step(armrig.load(hidden(start)))
     for path in (recorded("validation"), recorded("turned"), told()):
         r = armrig.load(path)
         yield f"{path.stem} disturbances", jitter.disturbances(r)
@@ -1393,7 +1393,7 @@ def of_recordings() -> Variants:
         yield f"{path.stem} columns", export_columns(r, raw=True)
         yield f"{path.stem} summary", summary_of(path)
         yield f"{path.stem} jitter", [jitter.jitter_us(r), jitter.lateness_us(r)]
-        yield f"{path.stem} hidden", findings.hidden_step(r)
+        yield f"{path.stem} hidden", findings.check_step(r)
         turned = jitter.angle_of_jitter(armrig.sampling_statistics(r), r.dataset())
         yield f"{path.stem} angle", turned
         yield f"{path.stem} doubts", usability.all_doubts([r, armrig.load(recorded("step"))])
@@ -1458,7 +1458,7 @@ def summary() -> Variants:
 @variants
 def uncertainty() -> Variants:
     from armrig.models import uncertainty as u
-    from armrig.models.uncertainty import drawn
+    from armrig.models.uncertainty import parameter_draws
 
     d = data()
     few = d["odd"][:60]
@@ -1467,7 +1467,7 @@ def uncertainty() -> Variants:
         "integrator": oe_integrating(),
     }
     for name, fit in fits.items():
-        draws = drawn(fit, n=200)
+        draws = parameter_draws(fit, n=200)
         yield f"{name} draws", draws
         yield f"{name} poles", u.pole_regions(fit, draws)
         yield f"{name} zeros", u.zero_regions(fit, draws)
@@ -1476,7 +1476,10 @@ def uncertainty() -> Variants:
             u.frequency_bands(fit, fit.frequency_response(frequencies(fit)), draws),
         )
         yield f"{name} step", u.step_band(fit, fit.step_response(20), draws)
-        yield f"{name} rate", u.step_band(fit, fit.step_response(20, rate=True), drawn(fit))
+        yield (
+            f"{name} rate",
+            u.step_band(fit, fit.step_response(20, rate=True), parameter_draws(fit)),
+        )
 
 
 @variants

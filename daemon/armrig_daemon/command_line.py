@@ -18,15 +18,15 @@ import msgspec
 import typer
 from armrig_core.access.endpoint import endpoint, require_trusted, socket_directory
 from armrig_core.errors import InputError, OperationError
-from armrig_core.process.options import chosen, option, with_options
+from armrig_core.process.options import option, preset, with_options
 from armrig_core.process.printable import brief, printable
-from armrig_core.process.signal_pipe import held_back
-from armrig_core.rig.emulated import held_up
+from armrig_core.process.signal_pipe import block_signals
+from armrig_core.rig.emulated import stall_sentence
 from armrig_core.rig.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 
 from armrig_daemon.config import EX_CONFIG, Config
-from armrig_daemon.config import Device as DeviceSettings
+from armrig_daemon.config import DeviceTable as DeviceSettings
 
 if TYPE_CHECKING:
     from armrig_core.process.line_writer import LineWriter
@@ -98,17 +98,19 @@ app = typer.Typer(
 @with_options
 def run(
     config: _ConfigFile = None,
-    emulate: bool = chosen(False, "Drive an emulated rig."),
+    emulate: bool = preset(False, "Drive an emulated rig."),
     port: _Port = None,
     rig: _Rig = None,
     rig_file: _RigFile = None,
     system: _System = False,
-    parent: int | None = chosen(None, "", hidden=True),
+    parent: int | None = preset(None, "", hidden=True),
 ) -> None:
     """Run the daemon until SIGTERM or Ctrl-C.
 
     When the daemon has ended, the motor is at 0 V.
     """
+    from armrig_daemon.service.host.emulated_rig import emulator_process
+
     try:
         from armrig_core.process.open_files import require
 
@@ -116,14 +118,13 @@ def run(
         require("armrigd run", memory_mib=2048, files=64)
     except OperationError as err:
         _refuse(str(err), EX_CONFIG)
-    with held_back():  # Python may ignore an exception during an import
+    with block_signals():  # Python may ignore an exception during an import
         from armrig_core.process.line_writer import LineWriter
         from armrig_core.process.realtime import end_with_parent
         from armrig_core.recording_file.recording_directory import directory_of
         from armrig_core.rig.description import require_model
 
         from armrig_daemon import config as configuration
-        from armrig_daemon.service.host.emulated_rig import emulated
         from armrig_daemon.service.host.systemd import Notifier
         from armrig_daemon.service.service import Service
 
@@ -151,7 +152,7 @@ def run(
         )
         _end(service.run(), log)
     try:
-        with emulated(loaded, _socket_directory(), log.relay()) as (device, stalls_fd):
+        with emulator_process(loaded, _socket_directory(), log.relay()) as (device, stalls_fd):
             service = Service(
                 device, where, directory, stalls_fd, *of_systemd, description=described, log=log
             )
@@ -178,8 +179,8 @@ def estop(
     port: _Port = None,
     rig: _Rig = None,
     system: _System = False,
-    baud: int = chosen(0, "", hidden=True),
-    after_failure: bool = chosen(
+    baud: int = preset(0, "", hidden=True),
+    after_failure: bool = preset(
         False, "Send ESTOP only if the daemon failed; for systemd's ExecStopPost."
     ),
 ) -> None:
@@ -271,16 +272,16 @@ def emulate(
         Path,
         option("--port", "Port to create: a path (a link to a pseudo-terminal), or unix:PATH."),
     ],
-    config: Path | None = chosen(
+    config: Path | None = preset(
         None, "File (TOML) with a table [emulator], and [rig] file.", "none"
     ),
-    trace: Path | None = chosen(
+    trace: Path | None = preset(
         None, "File to write, with a line for each change of the voltage.", "none"
     ),
-    seed: int | None = chosen(
+    seed: int | None = preset(
         None, "Seed of all noise and of the boot ids.", "the file's [emulator] seed, otherwise 1"
     ),
-    baud: int | None = chosen(
+    baud: int | None = preset(
         None,
         "Speed of the emulated line, in bit/s.",
         "the file's [emulator] baud, otherwise 500000",
@@ -288,18 +289,20 @@ def emulate(
     rig_file: _RigFile = None,
     firmware: _Firmware = False,
     image: _Hex = None,
-    settings: str | None = chosen(None, "", hidden=True),
-    stalls_fd: int | None = chosen(None, "", hidden=True),
-    parent: int | None = chosen(None, "", hidden=True),
+    settings: str | None = preset(None, "", hidden=True),
+    stalls_fd: int | None = preset(None, "", hidden=True),
+    parent: int | None = preset(None, "", hidden=True),
 ) -> None:
     """Emulate a rig at a pseudo-terminal or a socket until SIGTERM or Ctrl-C."""
+    from armrig_core.rig.description import builtin
+
     try:
         from armrig_core.process.open_files import require
 
         require("armrigd emulate", memory_mib=512, files=16)
         from armrig_core.process.line_writer import LineWriter
         from armrig_core.process.toml_file import convert
-        from armrig_core.rig.description import path_of, read_description, shipped
+        from armrig_core.rig.description import path_of, read_description
 
         from armrig_daemon.emulator.device import Device
         from armrig_daemon.emulator.real_time import emulate as run_emulator
@@ -313,11 +316,11 @@ def emulate(
         else:
             used, file = (EmulatorSettings(), None) if config is None else load(config)
             rig_file = rig_file or file
-        described = read_description(path_of(rig_file)) if rig_file else shipped("arm")
-        given = {"seed": seed, "baud": baud, "arm_removed": described.arm_removed or None}
-        given = {key: value for key, value in given.items() if value is not None}
-        used = convert(msgspec.to_builtins(used) | given, EmulatorSettings)
-        started = "" if settings is not None else _started(port, used.baud)
+        described = read_description(path_of(rig_file)) if rig_file else builtin("arm")
+        overrides = {"seed": seed, "baud": baud, "arm_removed": described.arm_removed or None}
+        overrides = {key: value for key, value in overrides.items() if value is not None}
+        used = convert(msgspec.to_builtins(used) | overrides, EmulatorSettings)
+        started = "" if settings is not None else _announcement(port, used.baud)
         lines = LineWriter()
         report_stall = partial(_say_stall, lines)
         if stalls_fd is not None:
@@ -342,8 +345,8 @@ def emulate(
 @app.command("config")
 @with_options
 def show_config(
-    example: bool = chosen(False, "Print all keys, commented out, with their defaults."),
-    check: Path | None = chosen(None, "File to check, together with the files that it names."),
+    example: bool = preset(False, "Print all keys, commented out, with their defaults."),
+    check: Path | None = preset(None, "File to check, together with the files that it names."),
 ) -> None:
     """Print an example of a configuration, or check a configuration.
 
@@ -368,7 +371,7 @@ def _check_file(file: Path) -> None:
 
     from armrig_daemon.config import load, load_installed
     from armrig_daemon.service.access import networks_of
-    from armrig_daemon.service.sentences import line_and_limits, reached
+    from armrig_daemon.service.sentences import line_and_limits, network_notice
 
     path = file.absolute()
     try:
@@ -378,25 +381,27 @@ def _check_file(file: Path) -> None:
         else:
             config = load([file], os.environ, {})
         directory_of(config.recording.directory)
-        ways = [reached(way, datetime.now(UTC)) for way in networks_of(config) if way is not None]
+        ways = [
+            network_notice(way, datetime.now(UTC)) for way in networks_of(config) if way is not None
+        ]
     except ValueError as err:
         _refuse(str(err), EX_CONFIG)
     rig = f"{file}: rig {config.rig.id}, {line_and_limits(config)}"
-    said = [rig, *(text for _, text in ways)]
-    typer.echo(printable("; ".join(said)))
+    sentences = [rig, *(text for _, text in ways)]
+    typer.echo(printable("; ".join(sentences)))
 
 
 @app.command()
 @with_options
 def conformance(
-    device: str | None = chosen(
+    device: str | None = preset(
         None, "Serial port of the device, such as /dev/ttyACM0.", metavar="DEVICE"
     ),
     firmware: _Firmware = False,
     image: _Hex = None,
-    baud: int = chosen(DeviceSettings().baud, "Speed of the line, in bit/s."),
-    motor_unplugged: bool = chosen(False, "Confirm that the motor is unplugged; do not ask."),
-    json: bool = chosen(False, "Print JSON."),
+    baud: int = preset(DeviceSettings().baud, "Speed of the line, in bit/s."),
+    motor_unplugged: bool = preset(False, "Confirm that the motor is unplugged; do not ask."),
+    json: bool = preset(False, "Print JSON."),
 ) -> None:
     """Test a device against every rule of PROTOCOL.md; unplug the motor first.
 
@@ -406,7 +411,7 @@ def conformance(
     The exit code is 0 only if no rule is broken. After the test, the device is at 0 V.
     """
     from armrig_daemon.conformance import suite
-    from armrig_daemon.conformance.host import Broken, Host
+    from armrig_daemon.conformance.host import Broken, LineHost
     from armrig_daemon.conformance.rule import Result
     from armrig_daemon.conformance.suite import run as try_rules
     from armrig_daemon.loop.link import LinkError
@@ -428,7 +433,7 @@ def conformance(
             for number in (signal.SIGTERM, signal.SIGHUP):
                 stack.callback(signal.signal, number, signal.signal(number, _interrupt))
             line, rules = _line_and_rules(device, image, baud, stack)
-            host = Host(line, baud)
+            host = LineHost(line, baud)
             results = try_rules(host, print_result, rules)
     except (LinkError, OperationError) as err:
         _refuse(f"conformance: {err}")
@@ -477,7 +482,7 @@ def _interrupt(number: int, _: object) -> NoReturn:
 def virtual(
     directory: Annotated[Path, option("--directory", "Folder for the recordings.")],
     config: _ConfigFile = None,
-    seed: int = chosen(
+    seed: int = preset(
         1, "Seed of the noise, and of the names and times of the runs.", min=0, max=2**63 - 1
     ),
     rig_file: _RigFile = None,
@@ -519,11 +524,11 @@ def _firmware(image: Path | None) -> Callable[..., Uno]:
     from armrig_daemon.emulator.settings import firmware_image, harness_program
     from armrig_daemon.emulator.uno import Uno
 
-    program, found = harness_program(os.environ), firmware_image(image)
-    return partial(Uno, program, found, layout=layout_of(found))
+    program, image_path = harness_program(os.environ), firmware_image(image)
+    return partial(Uno, program, image_path, layout=layout_of(image_path))
 
 
-def _started(port: Path, baud: int) -> str:
+def _announcement(port: Path, baud: int) -> str:
     """Return the sentence that announces an emulated rig."""
     speed = "" if baud == DeviceSettings().baud else f"ARMRIG_DEVICE_BAUD={baud} "
     return (
@@ -534,7 +539,7 @@ def _started(port: Path, baud: int) -> str:
 
 def _say_stall(lines: LineWriter, ns: int) -> None:
     """Print how long the emulator was held up."""
-    lines.put(f"armrigd: {held_up(ns)}")
+    lines.put(f"armrigd: {stall_sentence(ns)}")
 
 
 def _write_stall(fd: int, ns: int) -> None:
@@ -548,13 +553,13 @@ def _socket_directory() -> Path:
     path = Path(socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir()))
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
-        found = path.lstat()
+        path_stat = path.lstat()
     except OSError as err:
         _refuse(f"{path}: {err.strerror}; set XDG_RUNTIME_DIR to your own directory", EX_CONFIG)
     try:
         # In a temporary directory, another user could have created this directory and would own the
         # socket.
-        require_trusted(found, owners={os.getuid()})
+        require_trusted(path_stat, owners={os.getuid()})
     except InputError as err:
         _refuse(f"{path}: {err}; set XDG_RUNTIME_DIR to your own directory", EX_CONFIG)
     return path

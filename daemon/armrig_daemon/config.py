@@ -19,25 +19,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 from armrig_core.access.client_settings import ClientSettings
 from armrig_core.access.emulator_socket import socket_path
-from armrig_core.access.endpoint import anchored, check_listen, network_address
+from armrig_core.access.endpoint import check_listen, network_address, resolve_paths
 from armrig_core.commands.commands import OutputRange
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import CONFIGURATION_LIMIT, read_text
 from armrig_core.process.printable import printable
-from armrig_core.process.toml_file import Table, convert, toml_tables
-from armrig_core.recording_file.recording_directory import SYSTEM, installed, of_rig
+from armrig_core.process.toml_file import TomlTable, convert, toml_tables
+from armrig_core.recording_file.recording_directory import SYSTEM, configuration_files, of_rig
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.calibration_file import tables_of
-from armrig_core.rig.channels import Channel
+from armrig_core.rig.channels import DeviceChannel
 from armrig_core.rig.description import (
     BLIND_S,
     Description,
     Output,
     Turns,
+    builtin,
     check_turns,
     path_of,
     read_description,
-    shipped,
 )
 from armrig_core.rig.emulated import is_emulated
 from armrig_core.rig.firmware_image import IMAGES, image_crcs
@@ -76,7 +76,7 @@ _OTHER_VARIABLES = {"ARMRIG_REQUIRE_ALL", "ARMRIG_REFERENCE_DATA", HARNESS}
 Volts = Annotated[float, Meta(ge=0, le=U_MAX_V)]
 
 
-class Rig(Table, frozen=True, kw_only=True):
+class RigIdentity(TomlTable, frozen=True, kw_only=True):
     """`[rig]`: the identity of the rig."""
 
     id: str = "1"
@@ -93,7 +93,7 @@ class Rig(Table, frozen=True, kw_only=True):
         check_own_id(self.id)
 
 
-class Device(Table, frozen=True, kw_only=True):
+class DeviceTable(TomlTable, frozen=True, kw_only=True):
     """`[device]`: the line to the rig's device."""
 
     port: str = "/dev/armrig"
@@ -117,7 +117,7 @@ class Device(Table, frozen=True, kw_only=True):
         socket_path(self.port)
 
 
-class Timing(Table, frozen=True, kw_only=True):
+class TimingTable(TomlTable, frozen=True, kw_only=True):
     """`[timing]`: the sampling time, and the scheduling of the loop."""
 
     Ts: Annotated[float, Meta(ge=0.0005, le=1)] = 0.01
@@ -137,7 +137,7 @@ class Timing(Table, frozen=True, kw_only=True):
             raise InputError(f"Ts = {self.Ts} must be a whole number of microseconds")
 
 
-class Limits(Table, frozen=True, kw_only=True):
+class Limits(TomlTable, frozen=True, kw_only=True):
     """`[limits]`: limits of voltage and motion; they can only narrow the limits of the rig."""
 
     u_min_v: Volts = 0.0
@@ -161,7 +161,7 @@ class Limits(Table, frozen=True, kw_only=True):
 _Parameter = Annotated[float, Meta(gt=0, le=1e6)] | None
 
 
-class ArmSettings(Table, frozen=True, kw_only=True):
+class ArmSettings(TomlTable, frozen=True, kw_only=True):
     """`[arm]`: the model on which runs are rehearsed; the defaults are the handout's values."""
 
     J_1: _Parameter = None
@@ -192,12 +192,12 @@ class ArmSettings(Table, frozen=True, kw_only=True):
         # Imported here: the emulator and the command line read configurations without scipy.
         from armrig_core.rig.arm import ArmParameters
 
-        given = msgspec.structs.asdict(self)
-        del given["removed"]
-        return ArmParameters(**{key: value for key, value in given.items() if value is not None})
+        settings = msgspec.structs.asdict(self)
+        del settings["removed"]
+        return ArmParameters(**{key: value for key, value in settings.items() if value is not None})
 
 
-class Recording(Table, frozen=True, kw_only=True):
+class RecordingTable(TomlTable, frozen=True, kw_only=True):
     """`[recording]`: the recordings of runs."""
 
     directory: str = ""
@@ -210,7 +210,7 @@ class Recording(Table, frozen=True, kw_only=True):
     """Largest size of this rig's recordings, in GB; the oldest runs are removed; 0 is no limit."""
 
 
-class Access(Table, frozen=True, kw_only=True):
+class Access(TomlTable, frozen=True, kw_only=True):
     """`[access]`: network access; without this table, clients connect only by the Unix socket."""
 
     listen: str = ""
@@ -232,15 +232,15 @@ class Access(Table, frozen=True, kw_only=True):
             )
 
 
-class Config(Table, frozen=True, kw_only=True):
+class Config(TomlTable, frozen=True, kw_only=True):
     """The whole configuration."""
 
-    rig: Rig = Rig()
-    device: Device = Device()
-    timing: Timing = Timing()
+    rig: RigIdentity = RigIdentity()
+    device: DeviceTable = DeviceTable()
+    timing: TimingTable = TimingTable()
     limits: Limits = Limits()
     arm: ArmSettings = ArmSettings()
-    recording: Recording = Recording()
+    recording: RecordingTable = RecordingTable()
     access: Access = Access()
     client: ClientSettings = ClientSettings()
     calibration: Calibration = Calibration()
@@ -267,7 +267,7 @@ class Config(Table, frozen=True, kw_only=True):
         """Sampling time in µs."""
         return round(self.timing.Ts * 1e6)
 
-    def channels(self, description: Description) -> tuple[Channel, ...]:
+    def channels(self, description: Description) -> tuple[DeviceChannel, ...]:
         """Return the channels of the rig that are read, without those of a removed part."""
         if not description.is_calibrated:
             return description.channels
@@ -291,7 +291,7 @@ class Config(Table, frozen=True, kw_only=True):
         return rehearse_outputs(
             u,
             Ts,
-            self.limited(description),
+            self.narrow_description(description),
             parameters=self.arm.parameters() if description.arm else None,
             arm_removed=self.arm.removed or description.arm_removed,
             start_rad=start_rad,
@@ -318,7 +318,7 @@ class Config(Table, frozen=True, kw_only=True):
         return rehearse_control(
             law,
             reference,
-            self.limited(description),
+            self.narrow_description(description),
             parameters=self.arm.parameters() if description.arm else None,
             arm_removed=self.arm.removed or description.arm_removed,
             start_rad=start_rad,
@@ -333,7 +333,7 @@ class Config(Table, frozen=True, kw_only=True):
         rules, bits = self.rules(description), LAYOUTS[description.rig.image].pwm_bits
         return Latch(rules.rest_code, bits, rules.code_min, rules.code_max, rules.slew)
 
-    def limited(self, description: Description) -> Description:
+    def narrow_description(self, description: Description) -> Description:
         """Return the description with the limits of `[limits]`, which narrow those of its outputs.
 
         Raises InputError if the rig has no output with such a limit.
@@ -371,11 +371,11 @@ class Config(Table, frozen=True, kw_only=True):
         if description.is_calibrated and not (self.arm.removed or description.arm_removed):
             largest = max(-others[0].low, others[0].high)
             widest.append(("alpha_rad", largest, "low and high of alpha"))
-        rest, limits = description.input.rest_v, self.limits
-        if rest and not limits.u_min_v <= rest <= limits.u_max_v:
+        rest_v, limits = description.input.rest_v, self.limits
+        if rest_v and not limits.u_min_v <= rest_v <= limits.u_max_v:
             raise InputError(
                 f"limits.u_min_v = {limits.u_min_v:g}, u_max_v = {limits.u_max_v:g}: rig "
-                f"{description.rig.name} rests at {rest:g} V, which the limits must allow"
+                f"{description.rig.name} rests at {rest_v:g} V, which the limits must allow"
             )
         for key, most, name in widest:
             value = getattr(self.limits, key)
@@ -388,7 +388,7 @@ class Config(Table, frozen=True, kw_only=True):
 
     def ranges(self, description: Description) -> dict[str, OutputRange]:
         """Return the limits of the outputs that are read and have a limit, for the status."""
-        rig = self.limited(description)
+        rig = self.narrow_description(description)
         outputs = {channel.name: rig.outputs[channel.name] for channel in self.channels(rig)}
         return {
             name: OutputRange(
@@ -402,7 +402,7 @@ class Config(Table, frozen=True, kw_only=True):
 
     def rules(self, description: Description | None = None) -> Rules:
         """Return the limits and constants that the core needs; default: the arm's description."""
-        limits, rig = self.limits, self.limited(description or shipped("arm"))
+        limits, rig = self.limits, self.narrow_description(description or builtin("arm"))
         read = {channel.name: rig.outputs[channel.name] for channel in self.channels(rig)}
         # CONFIG has one number for both channels, so the core counts beside a valid rail.
         rail_ticks = self.device.rail_ticks
@@ -423,7 +423,7 @@ class Config(Table, frozen=True, kw_only=True):
             calibration=msgspec.structs.replace(self.calibration, made=None),
             described=UNSET if rig.is_calibrated else rig.conversions,
             is_emulated=is_emulated(uid="", port=self.device.port),
-            image=needed_image(rig),
+            image=image_of(rig),
             limits=output_limits(read, in_core),
         )
 
@@ -436,7 +436,7 @@ def _require_limit(key: str, description: Description, *, fits: bool) -> None:
         )
 
 
-def needed_image(description: Description) -> Image | UnsetType:
+def image_of(description: Description) -> Image | UnsetType:
     """Return the image of the rig's firmware, as the core needs it; UNSET for the arm."""
     name = description.rig.image
     if name != IMAGES[0]:
@@ -478,7 +478,7 @@ def description_of(config: Config) -> Description:
     Raises InputError if the file cannot be read, or describes no allowed rig.
     """
     if not config.rig.file:
-        return shipped("arm")
+        return builtin("arm")
     try:
         return read_description(Path(config.rig.file))
     except FileError as err:
@@ -505,19 +505,19 @@ def load(
     layers: list[tuple[Mapping[str, Any], str]] = [(below, "defaults")]
     for path in paths:
         directory = path.absolute().parent
-        layer = _calibrated(_anchored(_read(path), directory), directory, str(path))
+        layer = _include_calibration(_anchor_paths(_read(path), directory), directory, str(path))
         _check(layer, str(path))
         layers.append((layer, str(path)))
-        tables = _merged(tables, layer)
-    given = _anchored(_from_environment(environ), Path.cwd())
-    layer = _calibrated(given, Path.cwd(), "environment")
+        tables = _merge(tables, layer)
+    environment_tables = _anchor_paths(_from_environment(environ), Path.cwd())
+    layer = _include_calibration(environment_tables, Path.cwd(), "environment")
     _check(layer, "environment")
-    tables = _merged(tables, layer)
+    tables = _merge(tables, layer)
     _check(overrides, "command line")
-    tables = _merged(tables, overrides)
+    tables = _merge(tables, overrides)
     layers += [(layer, "environment"), (overrides, "command line")]
     where = ", ".join(map(str, paths)) or "configuration"
-    tables = _merged(_described(_check(tables, where)), tables)
+    tables = _merge(_description_layer(_check(tables, where)), tables)
     config = _check(tables, where)
     try:
         check(config.ts_us, config.device.baud, oversampling=config.device.oversampling)
@@ -547,33 +547,33 @@ def load_installed(
 
     Raises InputError as `load`, and if the rig's own file is missing or belongs to another rig.
     """
-    first = load(installed(system=system), environ, overrides, below=below)
-    own = of_rig(first.rig.id)
-    if own == SYSTEM or not own.exists():
+    first = load(configuration_files(system=system), environ, overrides, below=below)
+    path = of_rig(first.rig.id)
+    if path == SYSTEM or not path.exists():
         if system:
             raise InputError(
-                f"{own}: there is no such file; write it with at least [device] port; "
+                f"{path}: there is no such file; write it with at least [device] port; "
                 "`armrigd config --example` prints all keys"
             )
         return first
-    named = load([own], {}, {}, below={"rig": {"id": first.rig.id}}).rig.id
+    named = load([path], {}, {}, below={"rig": {"id": first.rig.id}}).rig.id
     if named != first.rig.id:
-        raise InputError(f"{own}: rig.id = {named!r}: the file belongs to rig {first.rig.id!r}")
-    return load(installed(first.rig.id, system=system), environ, overrides, below=below)
+        raise InputError(f"{path}: rig.id = {named!r}: the file belongs to rig {first.rig.id!r}")
+    return load(configuration_files(first.rig.id, system=system), environ, overrides, below=below)
 
 
-def _anchored(tables: Mapping[str, Any], directory: Path) -> dict[str, Any]:
+def _anchor_paths(tables: Mapping[str, Any], directory: Path) -> dict[str, Any]:
     """Return `tables` with absolute paths; `[rig] file` may name a shipped description."""
-    found = anchored(tables, directory)
+    layer = resolve_paths(tables, directory)
     rig = tables.get("rig")
     if isinstance(rig, Mapping) and isinstance(file := rig.get("file"), str) and file:
         shipped_file = path_of(Path(file))
-        if shipped_file != Path(file) and not Path(found["rig"]["file"]).exists():
-            found["rig"] = {**found["rig"], "file": str(shipped_file)}
-    return found
+        if shipped_file != Path(file) and not Path(layer["rig"]["file"]).exists():
+            layer["rig"] = {**layer["rig"], "file": str(shipped_file)}
+    return layer
 
 
-def _described(config: Config) -> dict[str, Any]:
+def _description_layer(config: Config) -> dict[str, Any]:
     """Return the lowest layer of the configuration: what the rig's description determines."""
     if not config.rig.file:
         return {}
@@ -583,7 +583,7 @@ def _described(config: Config) -> dict[str, Any]:
         "emulator": {"pwm_bits": LAYOUTS[described.rig.image].pwm_bits},
     }
     if described.arm_removed:
-        return _merged(layer, {"arm": {"removed": True}, "emulator": {"arm_removed": True}})
+        return _merge(layer, {"arm": {"removed": True}, "emulator": {"arm_removed": True}})
     if not described.is_calibrated:
         return layer
     return layer | {
@@ -598,12 +598,12 @@ def _described(config: Config) -> dict[str, Any]:
     }
 
 
-def _calibrated(layer: dict[str, Any], directory: Path, where: str) -> dict[str, Any]:
+def _include_calibration(layer: dict[str, Any], directory: Path, where: str) -> dict[str, Any]:
     """Return a layer with the calibration that is in the file `file`, relative to `directory`."""
-    given = layer.get("calibration")
-    if not isinstance(given, Mapping) or "file" not in given:
+    table = layer.get("calibration")
+    if not isinstance(table, Mapping) or "file" not in table:
         return layer
-    file, others = given["file"], [key for key in given if key != "file"]
+    file, others = table["file"], [key for key in table if key != "file"]
     if not isinstance(file, str) or not file:
         raise InputError(
             f"{where}: calibration.file = {file!r}: must be the path of a calibration file"
@@ -639,10 +639,10 @@ def _read(path: Path) -> dict[str, Any]:
 def _duplicate(text: str, error: str) -> str:
     """Return a message about a key that is given twice; "" for another error."""
     kinds = r"Cannot overwrite a value|Cannot declare .* twice|Duplicate inline table key .*"
-    found = re.match(rf"(?:{kinds}) \(at line (\d+)", error)
-    if found is None:
+    match = re.match(rf"(?:{kinds}) \(at line (\d+)", error)
+    if match is None:
         return ""
-    number = int(found[1])
+    number = int(match[1])
     line = text.splitlines()[number - 1].strip()
     return f"line {number}: {line}: given twice; give each key once"
 
@@ -654,14 +654,14 @@ def _check(tables: Mapping[str, Any], where: str) -> Config:
         raise InputError(f"{where}: {err}") from err
 
 
-def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+def _merge(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     merged = dict(below)
     for key, value in above.items():
         if key == "calibration" and "made" in value:
             merged[key] = value  # measured as a whole: it replaces all keys of another calibration
             continue
         both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
-        merged[key] = _merged(merged[key], value) if both else value
+        merged[key] = _merge(merged[key], value) if both else value
         if key == "calibration" and value:
             merged[key].pop("made", None)  # the merged values are not those of the measurement
     return merged
@@ -674,13 +674,13 @@ def _from_environment(environ: Mapping[str, str]) -> dict[str, Any]:
             continue
         table, _, key = name.removeprefix("ARMRIG_").lower().partition("_")
         fields = _fields_of(table)
-        known = {field.lower(): field for field in fields}
-        if not key or not known:
+        field_names = {field.lower(): field for field in fields}
+        if not key or not field_names:
             allowed = ", ".join(Config.__struct_fields__)
             raise InputError(
                 f"environment: {name}={text!r}: must be ARMRIG_<TABLE>_<KEY>; tables: {allowed}"
             )
-        variable, name = name, known.get(key, key)
+        variable, name = name, field_names.get(key, key)
         if name in tables.get(table, {}):
             raise InputError(
                 f"environment: {variable}={text!r}: {table}.{name} is given twice; once is allowed"

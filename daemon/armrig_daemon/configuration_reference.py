@@ -124,14 +124,14 @@ def _keys(table: msgspec.Struct, path: str) -> Iterator[Key]:
         elif field.type not in _PROGRAM_TYPES:
             if path == "arm" and value is None:
                 value = getattr(Config().arm.parameters(), field.name)
-            shown = "" if value is None or value is UNSET else _toml(value)
+            default_text = "" if value is None or value is UNSET else _toml(value)
             yield Key(
                 name=field.name,
                 kind=_in_words(field.type),
-                default=shown,
+                default=default_text,
                 allowed=_range(field.type),
                 description=descriptions[field.name],
-                example=shown or _EXAMPLES.get(_in_words(field.type), "0"),
+                example=default_text or _EXAMPLES.get(_in_words(field.type), "0"),
             )
 
 
@@ -227,8 +227,8 @@ def main(arguments: list[str]) -> int:
         print(f"{PAGE}: no such page; run this in a checkout of armrig", file=sys.stderr)
         return 2
     text = PAGE.read_text(encoding="utf-8")
-    before, rest = text.split(BEGIN)
-    wanted = f"{before}{BEGIN}\n{page_tables()}{END}{rest.split(END)[1]}"
+    before, after = text.split(BEGIN)
+    wanted = f"{before}{BEGIN}\n{page_tables()}{END}{after.split(END)[1]}"
     if wanted == text:
         return 0
     if arguments:

@@ -17,7 +17,7 @@ from armrig.excitation.named_signals import realisations
 from armrig.plots.layout import save
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.recording_file.manifest import CALIBRATION, Manifest
-from armrig_core.recording_file.recorder import Recording
+from armrig_core.recording_file.recorder import ActiveRecording
 from armrig_core.rig.volts import code_of
 from armrig_core.telemetry.telemetry import Outgoing, decode_sample
 from armrig_daemon.config import Config
@@ -64,7 +64,7 @@ def record(
         "device": {"firmware": "emulator", "adc_bits": settings.adc_bits},
     }
     manifest = Manifest(**(fields | about))
-    recording = Recording.create(
+    recording = ActiveRecording.create(
         path,
         manifest,
         {CALIBRATION: msgspec.json.encode(config.calibration)},

@@ -24,7 +24,7 @@ def feed(pending: bytes, data: bytes) -> tuple[bytes, list[Received]]:
     empty at the first call. `data` contains the new bytes.
     """
     texts = (pending + data).split(b"\0")
-    rest = texts.pop()
+    leftover = texts.pop()
     received: list[Received] = []
     for text in texts:
         if len(text) > MAX_STUFFED:
@@ -32,4 +32,4 @@ def feed(pending: bytes, data: bytes) -> tuple[bytes, list[Received]]:
         elif text:
             received.append(decode(text))
     # One byte more than the longest frame shows that the frame is too long.
-    return rest[: MAX_STUFFED + 1], received
+    return leftover[: MAX_STUFFED + 1], received

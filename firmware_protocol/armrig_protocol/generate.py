@@ -51,7 +51,7 @@ def wire_name(message: Table) -> str:
     return "".join(f"_{c}" if i and c.isupper() else c for i, c in enumerate(name)).upper()
 
 
-def decoded_length(message: Table) -> int:
+def frame_length(message: Table) -> int:
     """Return the length of a frame before stuffing, including header and CRC, in bytes."""
     body: int = sum(SIZES[field["type"]] * field.get("count", 1) for field in message["fields"])
     return 4 + body + 4
@@ -162,7 +162,7 @@ def _c_lines(schema: Table) -> Iterator[str]:
             yield f"    {name} = 0x{member['value']:X}, // {member['doc']}"
         yield "};"
     for message in schema["message"]:
-        name, length = wire_name(message), decoded_length(message)
+        name, length = wire_name(message), frame_length(message)
         struct = f"rig_{name.lower()}_t"
         yield from ("", f"// {message['doc']}", f"#define RIG_TYPE_{name} 0x{message['type']:02X}U")
         yield "typedef struct __attribute__((packed)) {"
@@ -195,7 +195,7 @@ def _table_lines(schema: Table) -> Iterator[str]:
             value = member["value"] if enum in schema["enum"] else f"0x{member['value']:04X}"
             yield f"| {member['name']} | {value} | {member['doc']} |"
     for message in schema["message"]:
-        length = decoded_length(message)
+        length = frame_length(message)
         way = "host to device" if message["type"] < 0x80 else "device to host"
         yield from ("", f"### {wire_name(message)} 0x{message['type']:02X}", "")
         yield f"{message['doc']} From {way}, {length} B decoded, {length + 2} B on the wire."
@@ -216,12 +216,12 @@ def vector_lines(schema: Table) -> Iterator[str]:
         yield from vectors_of(message["name"], message["type"], _layout(message), fields)
 
 
-def generated(root: Path) -> dict[Path, str]:
+def file_texts(root: Path) -> dict[Path, str]:
     """Return, for each generated file below `root`, the text that the file must contain."""
     schema = tomllib.loads((root / "schema.toml").read_text(encoding="utf-8"))
     protocol, vectors = root / "PROTOCOL.md", root / "vectors" / "frames.json"
-    before, rest = protocol.read_text(encoding="utf-8").split(BEGIN)
-    after = rest.split(END)[1]
+    before, tail = protocol.read_text(encoding="utf-8").split(BEGIN)
+    after = tail.split(END)[1]
     return {
         root / "armrig_protocol" / "messages.py": python_text(schema),
         root / "firmware" / "rig_protocol.h": c_text(schema),
@@ -240,7 +240,7 @@ def main(arguments: list[str], root: Path = ROOT) -> int:
         return 2
     stale = {
         path: text
-        for path, text in generated(root).items()
+        for path, text in file_texts(root).items()
         if not path.exists() or path.read_text(encoding="utf-8") != text
     }
     for path, text in stale.items():

@@ -19,8 +19,8 @@ import numpy as np
 from armrig.data.step import law_step
 from armrig_core.control.control_law import ControlLaw, LawOutput, Reference
 from armrig_core.control.evaluation import Latch, begin, decide, observe
-from armrig_core.rig.description import shipped
-from armrig_core.rig.volts import applied_code, volts_of
+from armrig_core.rig.description import builtin
+from armrig_core.rig.volts import device_code, volts_of
 from scipy.signal import lfilter
 
 B, F = (0.1, 0.05), (-1.5, 0.7)
@@ -56,11 +56,11 @@ def controlled_run(seed: int, N: int = 3000, std: float = NOISE_STD) -> armrig.D
     r = np.repeat(rng.choice([-0.3, 0.3], N), 20)[:N] + rng.choice([-0.05, 0.05], N)
     slow = lfilter([1.0], [1.0, -POLE], np.sqrt(1 - POLE**2) * rng.standard_normal(N + 200))[200:]
     noise = std * np.sqrt(0.5) * (slow + rng.standard_normal(N))
-    program, reference = law.program(shipped("arm")), r.tolist()
+    program, reference = law.program(builtin("arm")), r.tolist()
     state, x, u, y = begin(program), np.zeros(N), np.zeros(N), np.zeros(N)
     for k in range(N):
         state, command = decide(program, state, k, reference, latch)
-        u[k] = volts_of(applied_code(command.code, latch.pwm_bits)) - U0_V
+        u[k] = volts_of(device_code(command.code, latch.pwm_bits)) - U0_V
         before = [(x[k - 1], u[k - 1]), (x[k - 2], u[k - 2])] if k > 1 else [(0.0, 0.0)] * 2
         x[k] = sum(b * u_j - f * x_j for (x_j, u_j), b, f in zip(before, B, F, strict=True))
         y[k] = x[k] + noise[k]

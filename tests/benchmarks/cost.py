@@ -17,7 +17,7 @@ from time import process_time
 
 import armrig
 import numpy as np
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 LENGTHS = (10_000, 100_000, 1_000_000)
 B, F = [0.0, 1.0, 0.5], [1.0, -1.2, 0.6]
@@ -27,7 +27,7 @@ def dataset(N: int, seed: int = 1, missing: float = 0.0) -> armrig.Dataset:
     """Return a system of second order under a binary input, with coloured noise on its output."""
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.choice([-1.0, 1.0], N // 5 + 1), 5)[:N]
-    y = filtered(B, F, u) + filtered([1.0], [1.0, -0.7], 0.5 * rng.standard_normal(N))
+    y = apply_filter(B, F, u) + apply_filter([1.0], [1.0, -0.7], 0.5 * rng.standard_normal(N))
     return armrig.Dataset(u=u, y=y, Ts=0.01, valid=rng.random(N) >= missing)
 
 

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from armrig import Dataset, arx, n4sid, search
 from armrig.models.fit import Fit
-from armrig.models.predictor import predicted
+from armrig.models.predictor import predictions
 from scipy.io import loadmat, savemat
 
 ORDERS = range(1, 7)
@@ -83,7 +83,7 @@ def parts(data: np.ndarray, Ts: float) -> list[Dataset]:
 def fit_percent(model: Fit, data: Dataset) -> float:
     """Return 100 (1 - |y - ŷ| / |y - mean y|), simulated from the best initial state."""
     with np.errstate(all="ignore"):
-        error = data.y - predicted(model, data, None)
+        error = data.y - predictions(model, data, None)
     share = float(np.linalg.norm(error) / np.linalg.norm(data.y - data.y.mean()))
     return 100 * (1 - share) if np.isfinite(share) else -np.inf
 

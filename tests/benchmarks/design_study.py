@@ -16,7 +16,7 @@ from time import process_time
 import armrig
 import numpy as np
 from armrig.control.law_check import _steps
-from armrig.control.loop import LawMatrices, closed_loop, margins
+from armrig.control.loop import LawMatrices, close_loop, margins
 from armrig.control.plant import design_model
 from armrig_core.rig.arm import arm_matrices, zero_order_hold
 
@@ -76,7 +76,7 @@ def main() -> None:
             check = armrig.check_law(law, fit, draws=DRAWS, height=HEIGHT)
             matrices = LawMatrices.of(law, ["theta_1", "alpha"])
             m = margins(matrices, true.plant, Ts)
-            steps = _steps(law, true, closed_loop(matrices, [true.plant]), HEIGHT)
+            steps = _steps(law, true, close_loop(matrices, [true.plant]), HEIGHT)
             values = {"Ms": m.Ms, "phase_deg": m.phase_deg}
             values |= {"overshoot": steps.overshoot()[0], "settling": steps.settling()[0]}
             for name in names:

@@ -21,10 +21,10 @@ import msgspec
 import numpy as np
 from armrig.control.loop_comparison import _rate
 from armrig.models.fit import Fit
-from armrig_core.commands.commands import Control, Run
+from armrig_core.commands.commands import ControlRequest, RunRequest
 from armrig_core.control.control_law import ControlLaw
-from armrig_core.rig.description import Description, read_description, shipped
-from armrig_daemon.config import Config, Timing
+from armrig_core.rig.description import Description, builtin, read_description
+from armrig_daemon.config import Config, TimingTable
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
@@ -68,7 +68,7 @@ def _arm(friction_v: float) -> Case:
 
 
 def _heater() -> Case:
-    rig = shipped("tclab")
+    rig = builtin("tclab")
     hotter = {name: replace(output, high=90.0) for name, output in rig.outputs.items()}
     rig = dataclasses.replace(rig, outputs=hotter)
     assert rig.model is not None
@@ -150,7 +150,7 @@ CASES = {
 
 def study(case: Case, seed: int, folder: Path) -> tuple[float, float, float]:
     """Return the deviation in percent of the step, and the true and the predicted overshoot."""
-    config = replace(Config(), timing=replace(Timing(), Ts=case.Ts), emulator=case.settings)
+    config = replace(Config(), timing=replace(TimingTable(), Ts=case.Ts), emulator=case.settings)
 
     def service() -> VirtualService:
         switch_on = partial(Device, description=case.description)
@@ -158,7 +158,7 @@ def study(case: Case, seed: int, folder: Path) -> tuple[float, float, float]:
             config, folder, seed=seed, switch_on=switch_on, description=case.description
         )
 
-    run = Run(lease=LEASE, n=0, u=case.u(seed).tolist(), pacing="exchange")
+    run = RunRequest(lease=LEASE, n=0, u=case.u(seed).tolist(), pacing="exchange")
     fit = case.fit(armrig.load(service().record(run)))
     law = case.law(fit)
     low, high, length = case.reference
@@ -176,7 +176,7 @@ def study(case: Case, seed: int, folder: Path) -> tuple[float, float, float]:
 
     board.reading = watched
     reference = [low] * length + [high] * length
-    request = Control(lease=LEASE, n=0, law=law, reference=reference, unmonitored=True)
+    request = ControlRequest(lease=LEASE, n=0, law=law, reference=reference, unmonitored=True)
     path = rig.record(request)
     recording = armrig.load(path)
     found = armrig.compare_loop(recording, fit, draws=0)

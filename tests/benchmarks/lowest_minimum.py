@@ -13,7 +13,7 @@ import warnings
 
 import numpy as np
 from armrig.estimation.problem import PolynomialProblem
-from armrig.models.innovations import prepared
+from armrig.models.innovations import prepare
 
 from tests.plants import drawn_model, estimated_model
 
@@ -45,7 +45,7 @@ def main() -> None:
                 continue
             seconds += time.process_time() - begun
             tried += 1
-            problem = PolynomialProblem(experiments=((prepared(data.u, data.y, n),),), rows=(n,))
+            problem = PolynomialProblem(experiments=((prepare(data.u, data.y, n),),), rows=(n,))
             least = problem.minimise(truth).cost / fit.N
             excess = fit.loss / least - 1
             if excess > TOLERANCE:

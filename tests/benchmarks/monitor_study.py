@@ -19,7 +19,7 @@ import armrig
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
 from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from numpy.random import Generator
 
 from tests.benchmarks import design_study
@@ -84,7 +84,7 @@ def _arm(Ts: float = 0.01) -> Rig:
 
     return Rig(
         law=armrig.place(fit, design_study.POLES),
-        described=shipped("arm"),
+        described=builtin("arm"),
         plant=plant,
         reference=reference,
         N=3000,
@@ -144,7 +144,7 @@ def rigs() -> dict[str, Rig]:
     """Return the arm, the heater and the tank."""
     return {
         "arm": _arm(),
-        "heater": _lag(shipped("heater"), "T1", (9.0, 175.0, 15.0), 1.0, 1500),
+        "heater": _lag(builtin("heater"), "T1", (9.0, 175.0, 15.0), 1.0, 1500),
         "tank": _lag(Description.of(TANK), "level", (10.0, 20.0, 1.0), 0.1, 1200),
     }
 

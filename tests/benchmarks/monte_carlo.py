@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from armrig import Dataset, Fit, armax, arx, bj, oe, residuals, telegraph
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from numpy.typing import NDArray
 
 B, F = [0.0, 1.0, 0.5], [1.0, -1.2, 0.6]
@@ -46,8 +46,8 @@ class System:
     def dataset(self, N: int, rng: np.random.Generator) -> Dataset:
         """Return N samples from a state of long ago."""
         u = telegraph(N + 200, 0.3, 1.5, 3.5, seed=rng) - 2.5
-        v = filtered(self.C, self.D, STD * rng.standard_normal(N + 200))
-        return Dataset(u=u[200:], y=(filtered(B, F, u) + v)[200:], Ts=1.0)
+        v = apply_filter(self.C, self.D, STD * rng.standard_normal(N + 200))
+        return Dataset(u=u[200:], y=(apply_filter(B, F, u) + v)[200:], Ts=1.0)
 
 
 SYSTEMS = [

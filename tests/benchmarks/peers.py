@@ -66,18 +66,18 @@ def main() -> None:
 def dataset(case: str, seed: int) -> dict[str, Any]:
     """Return u, y, Ts and the truth of a case."""
     from armrig import telegraph
-    from armrig.numerics.polynomial import filtered
+    from armrig.numerics.polynomial import apply_filter
 
     rng = np.random.default_rng([seed, 2026])
     if case == "arm":
         B, F = _arm()
         u = telegraph(3000, 0.05, 0.0, 5.0, seed=rng)
-        y = filtered(B, F, u) + 5e-3 * rng.standard_normal(u.size)
+        y = apply_filter(B, F, u) + 5e-3 * rng.standard_normal(u.size)
         return {"u": u, "y": y, "Ts": 0.01, "B": B, "F": F, "n": 4}
     u = telegraph(10_000, 0.3, 1.5, 3.5, seed=rng) - 2.5
     e = rng.standard_normal(u.size)
-    v = e if case == "OE" else filtered([1.0, 0.5], [1.0, -0.8], e)
-    return {"u": u, "y": filtered(B3, F3, u) + v, "Ts": 1.0, "B": B3, "F": F3, "n": 3}
+    v = e if case == "OE" else apply_filter([1.0, 0.5], [1.0, -0.8], e)
+    return {"u": u, "y": apply_filter(B3, F3, u) + v, "Ts": 1.0, "B": B3, "F": F3, "n": 3}
 
 
 def _arm() -> tuple[Any, Any]:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from armrig import Dataset, search, telegraph
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 SETTLED = 300  # samples before the first one that is taken
 KINDS = ("resonant", "integrating", "lags", "high order", "slow noise", "arx", "nonlinear", "loop")
@@ -63,14 +63,14 @@ def drawn(kind: str, N: int, rng: np.random.Generator) -> Dataset:
         z = np.exp(-1j * np.linspace(0, np.pi, 2000))
         B *= 0.2 / np.max(np.abs(np.polyval(B[::-1], z) / np.polyval(F[::-1], z)))
         closed = np.append(F, np.zeros(B.size - F.size)) + 3.0 * B
-        y = filtered(B, closed, u) + filtered(F, closed, 0.02 * e)
+        y = apply_filter(B, closed, u) + apply_filter(F, closed, 0.02 * e)
         u = u - 3.0 * y
     else:
-        x = filtered(B, F, u)
+        x = apply_filter(B, F, u)
         size = 5 * np.std(np.diff(x)) if kind == "integrating" else np.std(x)
         x = np.tanh(x / size) * size if kind == "nonlinear" else x
         colour = {"slow noise": np.array([1.0, -0.97]), "arx": F}.get(kind, np.ones(1))
-        v = filtered([1.0], colour, e)
+        v = apply_filter([1.0], colour, e)
         y = x + share * size * v / np.std(v) + 3.0 * levels
         u = u + 2.5 * levels
     return Dataset(u=u[SETTLED:], y=y[SETTLED:], Ts=0.01)
@@ -105,7 +105,7 @@ def _input(kind: str, N: int, rng: np.random.Generator) -> np.ndarray:
     if kind == "white":
         return rng.standard_normal(N)
     if kind == "low-pass":
-        return filtered([0.2], [1.0, -0.8], rng.standard_normal(N))
+        return apply_filter([0.2], [1.0, -0.8], rng.standard_normal(N))
     if kind == "steps":
         return np.repeat(rng.uniform(-1, 1, N // 40 + 1), 40)[:N]
     t = 2 * np.pi * np.arange(N) / 512

@@ -29,7 +29,7 @@ import control
 import numpy as np
 from armrig import Fit
 from armrig.models.uncertainty import frequency_responses
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.numerics.recursion import recursion
 from scipy.optimize import linear_sum_assignment
 from scipy.signal import ss2tf
@@ -137,8 +137,8 @@ def _bj(seed: int) -> MultivariablePlant:
 
     def simulate(rng: Draw, N: int) -> Simulated:
         u = telegraphs(rng, N, 2)
-        y = sum(filtered(b, f, x) for b, f, x in zip(B, F, u.T, strict=True))
-        e = filtered([1, c], [1, d], rng.standard_normal(N))
+        y = sum(apply_filter(b, f, x) for b, f, x in zip(B, F, u.T, strict=True))
+        e = apply_filter([1, c], [1, d], rng.standard_normal(N))
         return u, (y + np.sqrt(NOISE_SHARE) * np.std(y) * e / np.std(e))[:, None], {}
 
     orders: Any = {"nb": [[2, 1]], "nf": [[2, 1]], "nk": [[1, 2]], "nc": 1, "nd": 1}

@@ -37,7 +37,7 @@ import numpy as np
 from armrig.recordings.files.control_run import control_run
 from armrig.rig.local_daemon import running
 from armrig.rig.telemetry_stream import LiveGap
-from armrig_daemon.config import Timing
+from armrig_daemon.config import TimingTable
 
 Ts, WAIT_S, KILLS = 0.02, 10.0, 3
 _RUN, _TEST = 1, 0
@@ -199,7 +199,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     chosen = parser.parse_args()
     parts = [partial(measure_theirs, chosen.python)]
-    parts += [partial(measure_ours, priority) for priority in (Timing().priority, 0)]
+    parts += [partial(measure_ours, priority) for priority in (TimingTable().priority, 0)]
     for measure in parts:
         print(f"load before: {os.getloadavg()[0]:.1f}")
         measure(chosen.seconds)

@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import armrig
 import numpy as np
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 B, F = [0, 0.4, 0.25], np.poly([0.82 * np.exp(0.7j), 0.82 * np.exp(-0.7j)]).real
 NOISE = {
@@ -40,9 +40,9 @@ def drawn(kind: str, noise: str, N: int, rng: np.random.Generator) -> armrig.Dat
     e = 0.05 * rng.standard_normal(N + START)
     if kind == "armax":
         A = D if noise == "resonant" else np.convolve(F, D)
-        y = filtered(B, A, u) + filtered([1, 0.5], A, e)
+        y = apply_filter(B, A, u) + apply_filter([1, 0.5], A, e)
     else:
-        y = filtered(B, F, u) + filtered(C, D, e)
+        y = apply_filter(B, F, u) + apply_filter(C, D, e)
     return armrig.Dataset(u=u[START:], y=y[START:], Ts=1.0)
 
 

@@ -6,14 +6,14 @@ from math import erf, radians, sqrt, tau
 from struct import pack
 
 import numpy as np
-from armrig.physics.calibration import Estimate, estimate
+from armrig.physics.calibration import CalibrationEstimate, estimate
 from armrig.physics.calibration_readings import Readings
 from armrig_core.rig.arm import ArmParameters
 from armrig_core.rig.calibration import Calibration
-from armrig_core.rig.volts import applied_code, code_of, volts_of
+from armrig_core.rig.volts import code_of, device_code, volts_of
 from armrig_core.telemetry.telemetry import decode_sample
 from armrig_daemon.config import Config
-from armrig_daemon.emulator.board import driven, volts
+from armrig_daemon.emulator.board import driver_volts, volts
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import Arm, Run, RunStarted
 from armrig_daemon.virtual import VirtualRig
@@ -78,14 +78,16 @@ def runs(settings: EmulatorSettings, *inputs: NDArray[np.float64]) -> list[Readi
     return found
 
 
-def calibrated(settings: EmulatorSettings) -> Estimate:
+def calibrated(settings: EmulatorSettings) -> CalibrationEstimate:
     """Return the calibration of an emulated rig, read with a meter, too."""
     rest, turns = runs(settings, REST, TURNS)
     rng = np.random.default_rng([settings.seed, 5])
     meter = [
         (
-            volts_of(applied_code(code, settings.pwm_bits)),
-            driven(volts(code, settings.pwm_bits), settings.driver_gain, settings.driver_offset_v)
+            volts_of(device_code(code, settings.pwm_bits)),
+            driver_volts(
+                volts(code, settings.pwm_bits), settings.driver_gain, settings.driver_offset_v
+            )
             + METER_STD_V * rng.standard_normal(),
         )
         for code in METER_CODES
@@ -94,7 +96,7 @@ def calibrated(settings: EmulatorSettings) -> Estimate:
 
 
 def truth(settings: EmulatorSettings) -> dict[str, float]:
-    """Return the true values of `Estimate.figures`."""
+    """Return the true values of `CalibrationEstimate.figures`."""
     low, high = (v / 5 * 65536 for v in (settings.theta_1_low_v, settings.theta_1_high_v))
     span, range_1 = high - low, radians(settings.theta_1_range_deg)
     sign = -1.0 if settings.theta_1_reversed else 1.0

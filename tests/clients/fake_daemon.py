@@ -50,7 +50,7 @@ class FakeDaemon:
 
     def __init__(self, endpoint: str, rig: str = "1") -> None:
         self.endpoint, self.rig = endpoint, rig
-        self.asked: list[commands.Request] = []
+        self.asked: list[commands.DaemonRequest] = []
         self.polls_per_run = 3
         self.limits_v = (0.0, 5.0)
         self.outcome = "complete"
@@ -61,7 +61,7 @@ class FakeDaemon:
         self.arm_removed = False
         self.rehearsal: Rehearsal | None = None
         self.during_run: Callable[[], object] = lambda: None
-        self._run: commands.Run | None = None
+        self._run: commands.RunRequest | None = None
         self._polls = 0
 
     def __enter__(self) -> Self:
@@ -138,7 +138,7 @@ class FakeDaemon:
                 return
             query.reply(query.key_expr, msgspec.json.encode(answer))
 
-    def _carry_out(self, request: commands.Request) -> Any:
+    def _carry_out(self, request: commands.DaemonRequest) -> Any:
         self.asked.append(request)
         if request.name in self.refusals:
             refusal = self.refusals[request.name]
@@ -150,7 +150,7 @@ class FakeDaemon:
             if self._run is not None:
                 self.during_run()
             return self.status()
-        if isinstance(request, commands.Arm):
+        if isinstance(request, commands.ArmRequest):
             return commands.LeaseGranted(
                 lease="0" * 32,
                 period_s=0.1,
@@ -158,11 +158,11 @@ class FakeDaemon:
                 u_min=self.limits_v[0],
                 u_max=self.limits_v[1],
             )
-        if isinstance(request, commands.Run):
+        if isinstance(request, commands.RunRequest):
             self._run, self._polls = request, 0
             return commands.RunAccepted(
                 run_id="r1", recording=self.recording, rehearsal=self.rehearsal
             )
-        if isinstance(request, commands.Stop):
+        if isinstance(request, commands.StopRequest):
             self.outcome, self.code, self.polls_per_run = "stopped", "", 0
         return commands.Done(done=True)

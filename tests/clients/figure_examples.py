@@ -20,7 +20,7 @@ from armrig.control.law_check import LawCheck
 from armrig.control.loop_comparison import LoopComparison
 from armrig.estimation.nonparametric.step_analysis import StepAnalysis
 from armrig.excitation import telegraph
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.physics.calibration import estimate
 from armrig.physics.integrators.accuracy import convergence, sinusoid
 from armrig.physics.systems import beside_the_handout, physical_model
@@ -28,7 +28,7 @@ from armrig.recordings.overview import overview
 from armrig.recordings.recording import Recording
 from armrig.report.answers import Answers
 from armrig.report.document import handout_contents
-from armrig.report.figures import drawn as figure_of_panels
+from armrig.report.figures import draw_figure as figure_of_panels
 from armrig.report.figures import plot_velocity, write_figures
 from armrig.report.handout_study import handout_study
 from armrig.report.study import Study, study
@@ -86,7 +86,7 @@ def second_order(
     """Return data of a damped system; of a few samples y may be lost."""
     rng = np.random.default_rng(seed)
     u = rng.standard_normal(N)
-    y = filtered([0, 0.1, 0.05], F, u)
+    y = apply_filter([0, 0.1, 0.05], F, u)
     valid = np.ones(N, bool)
     valid[lost] = False
     return Dataset(u=u, y=y + std * np.std(y) * rng.standard_normal(N), Ts=1.0, valid=valid)

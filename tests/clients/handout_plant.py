@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.physics.systems import transfer
 from armrig_core.rig.arm import ArmParameters, arm_matrices
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ class HandoutPlant:
 
     def angle(self, u: Vector) -> Vector:
         """Return theta_1 in rad for u in V, from rest at 0."""
-        return filtered(self.B, self.F, u)
+        return apply_filter(self.B, self.F, u)
 
     def dataset(self, seed: int, N: int = 3000, std: float = 5e-3) -> Dataset:
         """Telegraph 0/5 V, p = 0.05, white noise on the angle."""

@@ -11,9 +11,9 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from armrig.dashboard.experiments import Experiment, previewed
+from armrig.dashboard.experiments import ExperimentRequest, previewed
 from armrig.lab.doctor import examine
-from armrig.lab.host import Granted, Host
+from armrig.lab.host import Granted, InspectedHost
 from armrig_core.commands.commands import LastRun, StatusReport
 from armrig_core.recording_file.manifest import Outcome
 from armrig_core.rig.calibration import Calibration, Potentiometer
@@ -158,7 +158,7 @@ def odd_host() -> None:
         print(*examine(_host(Path(folder))), sep="\n")
 
 
-def _host(root: Path) -> Host:
+def _host(root: Path) -> InspectedHost:
     for name, content in HOST.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(content)
@@ -171,7 +171,7 @@ def _host(root: Path) -> Host:
         recordings=Path("/data"),
         free_bytes=(1 << 30) - 1,
     )
-    return Host(root=root, granted=granted)
+    return InspectedHost(root=root, granted=granted)
 
 
 def odd_plan(**changes: Any) -> Any:
@@ -194,4 +194,4 @@ def odd_report() -> Any:
 
 def odd_preview(status: StatusReport | None = None, **how: Any) -> None:
     """Print the page's preview of an experiment."""
-    show(previewed(Experiment(**({"low": 0.5, "high": 3.0} | how)), status or odd_status()))
+    show(previewed(ExperimentRequest(**({"low": 0.5, "high": 3.0} | how)), status or odd_status()))

@@ -16,10 +16,10 @@ from armrig.dashboard.app import error, value
 from armrig.dashboard.page_json import page_json
 from armrig.dashboard.stream import event
 from armrig.dashboard.study_of_one import facts
-from armrig.plots.captions import named_by_run, sign
+from armrig.plots.captions import name_by_run, sign
 from armrig.plots.layout import axes, drawable, save
 from armrig.recordings.files.catalogue import catalogue
-from armrig.report.typesetting import recorded as date_of
+from armrig.report.typesetting import latest_start as date_of
 from armrig_core.process.printable import printable_texts
 from matplotlib.figure import Figure
 
@@ -62,7 +62,7 @@ def test_a_figure_has_no_control_character(drawn: Callable[[Any], Any], tmp_path
 
 
 def test_the_id_of_a_run_in_a_figure_is_printable(tmp_path: Path) -> None:
-    with named_by_run({"5ca1e": HOSTILE}):
+    with name_by_run({"5ca1e": HOSTILE}):
         ax = sign(axes(None), "5ca1e")
 
     assert ax.get_title(loc="right") == f"recording @{SHOWN}"

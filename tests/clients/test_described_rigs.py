@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.identify import _experiment, _options
-from armrig.dashboard.experiments import Experiment, previewed
+from armrig.dashboard.experiments import ExperimentRequest, previewed
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.stream import live_facts, rig_facts
 from armrig.dashboard.study_of_one import csv, facts, identified
 from armrig.excitation import telegraph
 from armrig.recordings.overview import overview
 from armrig.recordings.usability import doubts_of_pair
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.errors import InputError
-from armrig_core.rig.description import Description, read_description, shipped
-from armrig_daemon.config import Config, Timing
+from armrig_core.rig.description import Description, builtin, read_description
+from armrig_daemon.config import Config, TimingTable
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from msgspec.structs import replace
@@ -42,16 +42,18 @@ ARM_WORDS = ("chassis", "theta_1", "alpha", "J_1", "dead band", "motor")
 
 def recordings(folder: Path, rig: str, Ts: float, N: int, a: float) -> list[Path]:
     """Record two telegraph signals of a described rig in virtual time."""
-    described = shipped(rig)
+    described = builtin(rig)
     service = VirtualService(
-        Config(timing=Timing(Ts=Ts)),
+        Config(timing=TimingTable(Ts=Ts)),
         folder,
         seed=1,
         switch_on=partial(Device, description=described),
         description=described,
     )
     inputs = [telegraph(N, a, 0.5, 4.5, seed=seed).tolist() for seed in (1, 2)]
-    return [service.record(Run(lease=LEASE, n=1, u=u, experiment="blackbox")) for u in inputs]
+    return [
+        service.record(RunRequest(lease=LEASE, n=1, u=u, experiment="blackbox")) for u in inputs
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -180,7 +182,7 @@ def test_the_page_draws_the_signals_of_the_rig_that_answers() -> None:
     feed = Feed()
     feed.add_samples([sample(k) for k in range(3)])
     of_arm = rig_facts(feed)
-    status = replace(FakeDaemon("there").status(), description=shipped("heater").text.decode())
+    status = replace(FakeDaemon("there").status(), description=builtin("heater").text.decode())
 
     feed.take_status(status)
     feed.add_samples([sample(3, value_0=23.04, value_1=24.0)])
@@ -202,9 +204,9 @@ def test_the_page_previews_and_identifies_a_described_rig(
 ) -> None:
     status = replace(FakeDaemon("there").status(), Ts=1.0)
     for name, begins in (("heater", "rehearsed on the model: T1 from 23"), ("", "not rehearsed")):
-        text = shipped("heater").text.decode()
+        text = builtin("heater").text.decode()
         text = text if name else text.partition("[model]")[0]
-        seen = previewed(Experiment(kind="step", Ts=1.0), replace(status, description=text))
+        seen = previewed(ExperimentRequest(kind="step", Ts=1.0), replace(status, description=text))
         assert seen.rehearsal.startswith(begins)
         assert not seen.deviations
 
@@ -213,7 +215,7 @@ def test_the_page_previews_and_identifies_a_described_rig(
     (tmp_path / "own.py").write_text(OWN_EQUATIONS)
     local = read_description(own)
     status = replace(status, description=local.text.decode())
-    seen = previewed(Experiment(kind="step", Ts=1.0), status, local)
+    seen = previewed(ExperimentRequest(kind="step", Ts=1.0), status, local)
     assert seen.rehearsal.startswith("rehearsed on the model: T1 from 23 to 40.8")
 
     found = identified(*rc, "")
@@ -311,7 +313,7 @@ def test_a_report_says_that_the_data_show_no_orders(
     def refused(data: object) -> None:
         raise InputError("u explains y at no frequency")
 
-    monkeypatch.setattr("armrig.report.study._recommended", refused)
+    monkeypatch.setattr("armrig.report.study._suggest_orders", refused)
 
     done = study([armrig.load(path) for path in rc])
 

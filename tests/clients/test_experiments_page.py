@@ -39,7 +39,7 @@ def test_every_command_of_the_page_is_valid(daemon: FakeDaemon, where: str) -> N
     for line in (*blocks, *filter(None, lines)):
         assert main([*shlex.split(line)[1:], "--connect", where]) == 0
 
-    played = [r.experiment for r in daemon.asked if isinstance(r, commands.Run)]
+    played = [r.experiment for r in daemon.asked if isinstance(r, commands.RunRequest)]
     names = ["step-first", "blackbox-monday", "blackbox-validation-monday"]
     assert played == [*names, *["bla"] * 4]
 

@@ -19,7 +19,7 @@ from armrig_core.commands.codes import GapCode, OutcomeCode
 from armrig_core.errors import FileError
 from armrig_core.recording_file.manifest import CALIBRATION_RAW
 from armrig_core.rig.calibration_file import raw_path, read_calibration
-from armrig_core.rig.volts import applied_code, volts_of
+from armrig_core.rig.volts import device_code, volts_of
 from msgspec.structs import replace
 
 from tests.clients.made_turns import stored_readings
@@ -34,7 +34,7 @@ MODELS = sorted(path.stem for path in (DATA / "0.2.0").glob("*.json") if path.st
 MOVED = ("nk", "integrator", "output", "unit", "input_unit", "noise_variance", "loss", "N")
 MOVED += ("fit_percent", "whiteness", "whiteness_test")
 """Keys at the top of a file of version 1 that are parts of other values today."""
-METER_V = volts_of(applied_code(32768, 10))
+METER_V = volts_of(device_code(32768, 10))
 """Voltage that a device of 10 bits makes of the one measured code."""
 
 

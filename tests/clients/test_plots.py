@@ -20,9 +20,9 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
-from armrig.models.uncertainty import drawn
-from armrig.numerics.polynomial import filtered
-from armrig.plots.captions import named, named_by_run, signature, symbol
+from armrig.models.uncertainty import parameter_draws
+from armrig.numerics.polynomial import apply_filter
+from armrig.plots.captions import axis_label, name_by_run, signature, symbol
 from armrig.plots.layout import (
     decibels,
     drawable,
@@ -55,7 +55,7 @@ def hardly_a_pair() -> Fit:
     rng = np.random.default_rng(0)
     F = np.real(np.poly([0.985 + 0.008j, 0.985 - 0.008j]))
     u = rng.standard_normal(500)
-    y = filtered([0, 0.1, 0.05], F, u)
+    y = apply_filter([0, 0.1, 0.05], F, u)
     return oe(Dataset(u=u, y=y + np.std(y) * rng.standard_normal(500), Ts=1.0), nb=2, nf=2)
 
 
@@ -177,7 +177,7 @@ def test_a_pole_zero_figure_reports_its_draws_and_the_omitted_ones() -> None:
     circle = np.hypot(*np.asarray(ax.lines[0].get_data(), np.float64))
     assert circle == pytest.approx(np.ones(circle.size))
     assert ax.lines[0].get_xdata()[[0, 360, -1]] == pytest.approx([1, -1, 1])  # type: ignore[index]
-    draws = drawn(fit)
+    draws = parameter_draws(fit)
     assert draws is not None
     assert draws.unstable > 0
     legend = ax.get_legend()
@@ -213,7 +213,7 @@ def test_phases_agree_after_a_zero_that_is_hardly_damped() -> None:
 
 
 def test_figures_name_a_run_if_it_is_known(recording: Recording) -> None:
-    with named_by_run({recording.sha256: "0000000b"}):
+    with name_by_run({recording.sha256: "0000000b"}):
         inside = plots.plot_data(recording, ax=Figure().add_subplot())
     outside = plots.plot_data(recording, ax=Figure().add_subplot())
 
@@ -296,7 +296,7 @@ def test_the_figure_of_axes_in_a_subfigure_is_the_whole_figure(recording: Record
 def test_a_step_response_begins_at_zero(integrator: bool, done: Study) -> None:
     rng = np.random.default_rng(1)
     u = rng.standard_normal(300)
-    data = Dataset(u=u, y=filtered([0.5], [1, -0.5], u) + rng.standard_normal(300), Ts=0.01)
+    data = Dataset(u=u, y=apply_filter([0.5], [1, -0.5], u) + rng.standard_normal(300), Ts=0.01)
     model = done.best.model if integrator else oe(data, nb=1, nf=1, nk=0)
     ax = plots.plot_step(model, ax=Figure().add_subplot())
 
@@ -428,7 +428,10 @@ def test_symbols_and_exponents_are_in_mathtext() -> None:
     assert written == ["$J_1$", "$K_{lin}$", "$N$", "$T_c$", "$J_{12}$"]
     shown = drawable("(1.2 ± 0.1)·10⁻¹² m, 10³ s⁻¹ and 10 m²")
     assert shown == "(1.2 ± 0.1)·$10^{-12}$ m, $10^{3}$ s$^{-1}$ and 10 m²"
-    assert [named("theta_1", "rad"), named("flow", "")] == [r"$\theta_1$ [rad]", "flow [–]"]
+    assert [axis_label("theta_1", "rad"), axis_label("flow", "")] == [
+        r"$\theta_1$ [rad]",
+        "flow [–]",
+    ]
 
 
 def test_an_exponent_in_the_text_of_a_report_is_drawn_without_a_warning(
@@ -447,7 +450,7 @@ def test_any_name_is_drawn_without_a_warning(
     name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     u = np.tile([0.0, 0.0, 1.0, 1.0, 1.0], 40)
-    y = filtered([0, 0.1], [1, -0.9], u) + 0.1 * np.random.default_rng(0).standard_normal(200)
+    y = apply_filter([0, 0.1], [1, -0.9], u) + 0.1 * np.random.default_rng(0).standard_normal(200)
     data = Dataset(u=u, y=y, Ts=0.1, output=name, unit=name)
     fits = (armrig.arx(data, na=1, nb=1), armrig.arx(data, na=2, nb=2))
 

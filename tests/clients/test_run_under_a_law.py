@@ -15,8 +15,8 @@ from armrig.cli import main
 from armrig.models.structure_table import OFFERED
 from armrig.recordings.files import loading
 from armrig.recordings.files.control_run import control_run
-from armrig.rig.playback import published
-from armrig_core.commands.commands import Control
+from armrig.rig.playback import read_run
+from armrig_core.commands.commands import ControlRequest
 from armrig_core.errors import InputError
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
@@ -34,7 +34,7 @@ ORDERS = {"nb": 3, "nf": 3}
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a recording of the arm's speed under a law of order 5."""
     service = VirtualService(Config(), tmp_path_factory.mktemp("run"), seed=1)
-    request = Control(lease=LEASE, n=0, law=LAW, reference=R.tolist(), unmonitored=True)
+    request = ControlRequest(lease=LEASE, n=0, law=LAW, reference=R.tolist(), unmonitored=True)
     return service.record(request)
 
 
@@ -241,7 +241,7 @@ def test_bj_under_a_law_is_compared_with_the_model_of_the_design(
         design = {"model_sha256": of_model, "files": {"model": "design.json"}}
         service = VirtualService(Config(), tmp_path, seed=1)
         law = arm_law(design=design)
-        request = Control(lease=LEASE, n=0, law=law, reference=R.tolist(), unmonitored=True)
+        request = ControlRequest(lease=LEASE, n=0, law=law, reference=R.tolist(), unmonitored=True)
         service.record(request).rename("run.mcap")
         main(asked.split())
         said = capsys.readouterr().err.splitlines()[-1]
@@ -293,8 +293,8 @@ def test_the_catalogue_has_the_hash_of_the_law(
 
 
 def test_a_playback_has_the_decisions(path: Path) -> None:
-    run = published(path, 1.0, 2.0)
+    run = read_run(path, 1.0, 2.0)
 
     streams = [message.stream for message in run.messages()]
     assert streams.count("control") == 100
-    assert "control" not in {m.stream for m in published(armrig.example_recording().path).others}
+    assert "control" not in {m.stream for m in read_run(armrig.example_recording().path).others}

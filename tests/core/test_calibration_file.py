@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from armrig_core.errors import FileError
-from armrig_core.rig.calibration import Calibration, Driver, Figure, Made, Potentiometer
+from armrig_core.rig.calibration import Calibration, Driver, Made, MeasuredValue, Potentiometer
 from armrig_core.rig.calibration_file import (
     RAW_LIMIT,
     check_measured,
@@ -24,7 +24,7 @@ MADE = Made(
     rig="1",
     device_uid='a "uid"\\',
     armrig="0.1.0",
-    figures={"theta_1_rad_per_count": Figure(value=-9.4e-5, std=1.5e-9)},
+    figures={"theta_1_rad_per_count": MeasuredValue(value=-9.4e-5, std=1.5e-9)},
     recordings={"rest": "ab" * 32, "turns": "cd" * 32},
     raw_sha256=hashlib.sha256(SAMPLES).hexdigest(),
 )
@@ -105,7 +105,7 @@ def test_a_calibration_file_out_of_range_is_refused(text: str, said: str, tmp_pa
     assert str(path) in str(refused.value)
 
 
-TOO_MANY = {f"figure_{n}": Figure(value=1.0, std=0.1) for n in range(500)}
+TOO_MANY = {f"figure_{n}": MeasuredValue(value=1.0, std=0.1) for n in range(500)}
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,16 @@ import json
 
 import msgspec
 import pytest
-from armrig_core.commands.commands import REQUESTS, Arm, Note, Run, Set, Stop, json_schema, parse
+from armrig_core.commands.commands import (
+    REQUESTS,
+    ArmRequest,
+    NoteRequest,
+    RunRequest,
+    SetRequest,
+    StopRequest,
+    json_schema,
+    parse,
+)
 
 LEASE = "0" * 32
 
@@ -17,12 +26,16 @@ def _calibration(tables: str, beside: str = "") -> str:
 
 
 def test_a_command_is_read_with_its_fields() -> None:
-    assert parse("arm", b'{"owner": "a student", "Ts": 0.01}') == Arm(owner="a student", Ts=0.01)
-    assert parse("stop", b"") == Stop()
-    assert parse("stop", b'{"by": "anna"}') == Stop(by="anna")
-    assert msgspec.json.encode(Stop()) == b"{}"  # as a daemon of an earlier version takes it
-    assert parse("note", '{"text": "#set $1 <b> 陈"}'.encode()) == Note(text="#set $1 <b> 陈")
-    assert parse("arm", '{"owner": "Zoë 陈 [red]"}'.encode()) == Arm(owner="Zoë 陈 [red]")
+    assert parse("arm", b'{"owner": "a student", "Ts": 0.01}') == ArmRequest(
+        owner="a student", Ts=0.01
+    )
+    assert parse("stop", b"") == StopRequest()
+    assert parse("stop", b'{"by": "anna"}') == StopRequest(by="anna")
+    assert msgspec.json.encode(StopRequest()) == b"{}"  # as a daemon of an earlier version takes it
+    assert parse("note", '{"text": "#set $1 <b> 陈"}'.encode()) == NoteRequest(
+        text="#set $1 <b> 陈"
+    )
+    assert parse("arm", '{"owner": "Zoë 陈 [red]"}'.encode()) == ArmRequest(owner="Zoë 陈 [red]")
 
 
 @pytest.mark.parametrize(
@@ -78,7 +91,7 @@ def test_the_details_of_a_run_have_a_mebibyte_at_most(length: int, fits: bool) -
     payload = {"lease": LEASE, "n": 1, "u": [1.0], "details": details}
 
     if fits:
-        assert parse("run", json.dumps(payload).encode()) == Run(**payload)
+        assert parse("run", json.dumps(payload).encode()) == RunRequest(**payload)
         return
     with pytest.raises(ValueError, match=r"^run: details have more than 1048576 B of JSON$"):
         parse("run", json.dumps(payload).encode())
@@ -90,6 +103,9 @@ def test_every_command_serves_its_schema() -> None:
     assert set(REQUESTS) == names
     text = json.loads(json_schema("set"))
 
-    fields = text["$defs"][Set.__name__]["properties"]
+    fields = text["$defs"][SetRequest.__name__]["properties"]
     assert fields["u"]["maximum"] == 5.0
-    assert json.loads(json_schema("run"))["$defs"][Run.__name__]["additionalProperties"] is False
+    assert (
+        json.loads(json_schema("run"))["$defs"][RunRequest.__name__]["additionalProperties"]
+        is False
+    )

@@ -9,11 +9,11 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 from armrig_core.access.endpoint import (
-    anchored,
     check_listen,
     endpoint,
     network_address,
     require_trusted,
+    resolve_paths,
     socket_directory,
 )
 from armrig_core.errors import InputError
@@ -103,7 +103,7 @@ def test_paths_of_credentials_are_relative_to_the_folder_of_their_file(
         "recording": {"directory": "runs"},
     }
 
-    assert anchored(tables, Path("/etc/armrig")) == {
+    assert resolve_paths(tables, Path("/etc/armrig")) == {
         "access": {
             "listen": "a",
             "certificate": "/etc/armrig/rig.pem",

@@ -14,7 +14,7 @@ from threading import Timer
 
 import armrig_core
 import pytest
-from armrig_core.process.signal_pipe import ENDING, SignalPipe, held_back, until_signal
+from armrig_core.process.signal_pipe import ENDING, SignalPipe, block_signals, until_signal
 
 WITHIN_S = 30.0
 SIGNALS = 300
@@ -121,7 +121,7 @@ def test_a_read_returns_signals_and_not_the_wakeups_of_threads() -> None:
 
 @pytest.mark.parametrize("number", ENDING)
 def test_a_signal_waits_for_a_starting_process(number: signal.Signals) -> None:
-    with held_back(), running(_ONE) as process:
+    with block_signals(), running(_ONE) as process:
         process.send_signal(number)
         assert process.stdout is not None
         said = process.stdout.read()

@@ -54,7 +54,7 @@ def test_an_unknown_angle_is_encoded_as_nan() -> None:
 def test_a_number_missing_in_a_message_is_unknown(name: str) -> None:
     """In a message of an older writer an appended field is absent, and 0 rad would be an angle."""
     numbers = {
-        field.name: (field.type, getattr(protobuf.decoded(name, b""), field.name))
+        field.name: (field.type, getattr(protobuf.decode_message(name, b""), field.name))
         for field in protobuf.message_class(name).DESCRIPTOR.fields
         if field.type in _IMPOSSIBLE
     }
@@ -66,7 +66,7 @@ def test_a_number_missing_in_a_message_is_unknown(name: str) -> None:
 
 @given(samples)
 def test_a_number_in_a_message_is_read_unchanged(sample: Sample) -> None:
-    message = protobuf.decoded(protobuf.SAMPLE, encode_sample(sample))
+    message = protobuf.decode_message(protobuf.SAMPLE, encode_sample(sample))
 
     assert tuple(getattr(message, name) for name, _ in SAMPLE_FIELDS) == sample
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from armrig_core.errors import InputTypeError
 from armrig_core.telemetry import topics
-from armrig_core.telemetry.topics import RECORDED, STREAMS, check_own_id, check_rig_id, played_id
+from armrig_core.telemetry.topics import RECORDED, STREAMS, check_own_id, check_rig_id, playback_id
 
 LONGEST = "a" * 40
 
@@ -42,7 +42,7 @@ def test_an_id_that_is_not_text_is_refused() -> None:
     ],
 )
 def test_a_recording_is_played_under_an_id_that_no_rig_can_have(rig: str, played: str) -> None:
-    assert played_id(rig) == played == check_rig_id(played)
+    assert playback_id(rig) == played == check_rig_id(played)
     with pytest.raises(ValueError, match="belongs to a recording that `armrig play` plays"):
         check_own_id(played)
     assert (rig == played) or check_own_id(rig) == rig

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from armrig_core.rig.volts import applied_code, code_of, codes_of, volts_of
+from armrig_core.rig.volts import code_of, codes_of, device_code, volts_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,11 +29,11 @@ def test_a_voltage_out_of_range_is_refused_and_not_clamped(volts: float) -> None
 
 @given(codes, st.integers(8, 16))
 def test_the_latched_voltage_is_within_half_a_step_of_the_requested(code: int, bits: int) -> None:
-    applied = applied_code(code, bits)
+    applied = device_code(code, bits)
 
     assert abs(applied - code) <= 65535 / 2**bits / 2 + 0.5
     assert 0 <= applied <= 65535
-    assert applied_code(applied, bits) == applied
+    assert device_code(applied, bits) == applied
 
 
 def test_the_codes_of_a_run_are_converted_from_its_voltages() -> None:

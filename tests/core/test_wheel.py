@@ -9,8 +9,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from armrig_core.rig.description import shipped_files
-from armrig_core.rig.firmware_image import IMAGES, shipped_image
+from armrig_core.rig.description import builtin_files
+from armrig_core.rig.firmware_image import IMAGES, image_path
 
 ROOT = Path(__file__).parents[2]
 IMAGE = "armrig_core/firmware/armrig-uno.hex"
@@ -40,21 +40,21 @@ def wheel(unpacked: Path) -> dict[str, bytes]:
 
 def test_the_firmware_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
     for name in IMAGES:
-        image = shipped_image(name)
+        image = image_path(name)
         assert wheel[f"armrig_core/firmware/{image.name}"] == image.read_bytes()
 
 
 def test_the_descriptions_of_rigs_are_in_the_wheel(wheel: dict[str, bytes]) -> None:
     shipped = {name for name in wheel if name.startswith("armrig_core/rigs/")}
 
-    assert shipped == {f"armrig_core/rigs/{path.stem}.toml" for path in shipped_files()}
+    assert shipped == {f"armrig_core/rigs/{path.stem}.toml" for path in builtin_files()}
 
 
 @pytest.mark.usefixtures("wheel")
 def test_an_installed_armrig_finds_its_glossary_and_its_firmware(unpacked: Path) -> None:
     program = (
         "from armrig.cli.administration import _page; "
-        "from armrig_core.rig.firmware_image import shipped_image; print(_page(), shipped_image())"
+        "from armrig_core.rig.firmware_image import image_path; print(_page(), image_path())"
     )
     found = subprocess.run(
         [sys.executable, "-c", program],

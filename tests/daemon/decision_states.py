@@ -9,6 +9,7 @@ from typing import Any
 from armrig_core.control.evaluation import Program
 from armrig_daemon.decisions import step
 from armrig_daemon.decisions.state import (
+    DecisionState,
     Emit,
     Event,
     Ordered,
@@ -16,7 +17,6 @@ from armrig_daemon.decisions.state import (
     Received,
     RequestKind,
     Send,
-    State,
 )
 from armrig_daemon.pipe import Arm, Order, Run, Set
 from armrig_protocol.decoder import feed
@@ -86,7 +86,7 @@ def driven() -> Bench:
 
 def changed(thing: Any, **fields: object) -> Any:
     """Return a state with these fields, wherever in it they are; of another struct, its own."""
-    for name in ("link", "configuration", "clock") if isinstance(thing, State) else ():
+    for name in ("link", "configuration", "clock") if isinstance(thing, DecisionState) else ():
         part = getattr(thing, name)
         own = {f: fields.pop(f) for f in [*fields] if part and f in part.__struct_fields__}
         if own:
@@ -94,7 +94,9 @@ def changed(thing: Any, **fields: object) -> Any:
     return replace(thing, **fields)
 
 
-def awaiting(state: State, want: RequestKind, order: Order | None = None, **fields: int) -> State:
+def awaiting(
+    state: DecisionState, want: RequestKind, order: Order | None = None, **fields: int
+) -> DecisionState:
     """Return the state with a request on its way, sent at 0."""
     asked = PendingRequest(want, fields.pop("sent_ns", 0), OURS, 1, 0, False, order)
     return replace(state, asked=asked._replace(**fields))
@@ -103,7 +105,7 @@ def awaiting(state: State, want: RequestKind, order: Order | None = None, **fiel
 class Decided:
     """Decisions of the core on one event."""
 
-    def __init__(self, state: State, now_ns: int, event: Event) -> None:
+    def __init__(self, state: DecisionState, now_ns: int, event: Event) -> None:
         self.state, self.actions = step.step(state, now_ns, [event])
 
     def of(self, kind: type) -> list:
@@ -120,19 +122,19 @@ class Decided:
         return received
 
 
-def ordered(bench: Bench, order: Order, state: State | None = None) -> Decided:
+def ordered(bench: Bench, order: Order, state: DecisionState | None = None) -> Decided:
     """Return the core's decisions on an order."""
     return Decided(state or bench.loop.state, bench.ports.now, Ordered(order))
 
 
-def heard(bench: Bench, message: Message, state: State | None = None) -> Decided:
+def heard(bench: Bench, message: Message, state: DecisionState | None = None) -> Decided:
     """Return the core's reaction to a message of the device."""
     event = Received(b"\0" + encode(message))
     state = changed(state or bench.loop.state, pending=b"")
     return Decided(state, bench.ports.now, event)
 
 
-def device_sample(state: State, **fields: int) -> DeviceSample:
+def device_sample(state: DecisionState, **fields: int) -> DeviceSample:
     """Return a SAMPLE of the device that is met, of now on its clock, all else 0.
 
     The device has taken in every EXCHANGE that was sent.

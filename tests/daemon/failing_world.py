@@ -58,7 +58,7 @@ class World:
         self._records = bytearray()
         self._opened = False
         with self._installed():
-            port = process.Settings(
+            port = process.LoopSettings(
                 rules=rules, port="tty", baud=rules.baud, priority=0, cpu=None, spin_ns=0
             )
             self.loop = Loop(rules, process.ProcessPorts(port, _ORDERS, _RECORDS))

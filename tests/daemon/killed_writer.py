@@ -18,8 +18,8 @@ from typing import NamedTuple, NoReturn
 
 import armrig
 from armrig_core.recording_file.manifest import CONFIG, INPUT, Manifest
-from armrig_core.recording_file.recorder import Recording
-from armrig_core.recording_file.unfinished import unfinished
+from armrig_core.recording_file.recorder import ActiveRecording
+from armrig_core.recording_file.unfinished import unfinished_files
 from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
 from armrig_daemon.service.host.startup_recovery import StartupRecovery
 
@@ -80,7 +80,7 @@ def judged(folder: Path) -> list[Killed]:
 
     A process that was killed before its beginning leaves a file of 0 B.
     """
-    left = {path: _loaded(path) for path in unfinished(folder, "1") if path.stat().st_size}
+    left = {path: _loaded(path) for path in unfinished_files(folder, "1") if path.stat().st_size}
     next_start = StartupRecovery(folder, "1", lambda: None)
     next_start.start()
     next_start.join()
@@ -131,7 +131,7 @@ def _write(folder: Path, number: int, told: int) -> NoReturn:
     )
     attachments = {CONFIG: b"{}", INPUT: b"u_v\n" + b"1.0\n" * 1000}
     begin_ns = time.monotonic_ns()
-    recording = Recording.create(
+    recording = ActiveRecording.create(
         path, manifest, attachments, t_first_ns=begin_ns, changed=lambda: None
     )
     os.write(told, b"b")

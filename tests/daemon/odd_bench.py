@@ -13,7 +13,15 @@ from typing import Any
 import msgspec
 from armrig_core.rig.calibration import Calibration, Driver, Potentiometer
 from armrig_core.telemetry.telemetry import Sample, decode_sample
-from armrig_daemon.config import ArmSettings, Config, Device, Limits, Recording, Rig, Timing
+from armrig_daemon.config import (
+    ArmSettings,
+    Config,
+    DeviceTable,
+    Limits,
+    RecordingTable,
+    RigIdentity,
+    TimingTable,
+)
 from armrig_daemon.decisions.state import ServiceGone
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import Arm, Calibrate, Reset, Run, Set, Stop, Trace
@@ -47,12 +55,12 @@ EMULATOR: dict[str, Any] = {
     "arm": {"J_1": 0.02, "b_1": 0.05},
 }
 CONFIG = Config(
-    rig=Rig(id="lab-2"),
-    device=Device(baud=250_000, watchdog_ms=130),
-    timing=Timing(Ts=0.008, stop_after=6),
+    rig=RigIdentity(id="lab-2"),
+    device=DeviceTable(baud=250_000, watchdog_ms=130),
+    timing=TimingTable(Ts=0.008, stop_after=6),
     limits=Limits(u_min_v=0.2, u_max_v=4.4, slew_v=3.0, revolutions=2.5, alpha_rad=1.5),
     arm=ArmSettings(J_1=0.02, b_1=0.05),
-    recording=Recording(part_minutes=0.01),
+    recording=RecordingTable(part_minutes=0.01),
     calibration=Calibration(
         theta_1=Potentiometer(zero_counts=9_000.0, rad_per_count=-9.6e-5),
         alpha=Potentiometer(zero_counts=41_000.0, rad_per_count=-7.6e-5, wraps=False),

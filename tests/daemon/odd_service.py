@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from armrig_core.commands.codes import Ending, GapCode, OutcomeCode
-from armrig_core.commands.commands import Renew, Run
+from armrig_core.commands.commands import Renew, RunRequest
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.channels import CHANNELS, SAMPLE_FIELDS
 from armrig_core.telemetry.history import decode_past
@@ -16,15 +16,15 @@ from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Tra
 from armrig_daemon.service import admission, client_watchdog, readings
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.host import pressure
-from armrig_daemon.service.plan import checked, one_a_line
+from armrig_daemon.service.plan import check_voltages, one_a_line
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.publish import History
 from armrig_daemon.service.runs import part_samples
 from armrig_daemon.service.sentences import (
     endpoint_error,
     network_error,
-    reached,
-    served,
+    network_notice,
+    startup_sentence,
     state_sentence,
     unreachable,
 )
@@ -37,7 +37,7 @@ from tests.daemon.odd_bench import CONFIG
 __all__ = [
     "CONFIG",
     "Config",
-    "checked",
+    "check_voltages",
     "ended",
     "endpoint_error",
     "late",
@@ -52,7 +52,7 @@ __all__ = [
     "odd_state",
     "one_a_line",
     "part_samples",
-    "served",
+    "startup_sentence",
     "state_sentence",
     "unreachable",
     "untimely",
@@ -100,7 +100,7 @@ def odd_networks() -> None:
             is_router=is_router,
             **NETWORK,
         )
-        print(reached(network, now))
+        print(network_notice(network, now))
 
 
 NETWORK: dict[str, Any] = {
@@ -120,24 +120,26 @@ def odd_readings() -> None:
     """Print what objects to an arming: a theta_1 that stands still, an alpha at its rail."""
 
     def objections(changes: dict[str, Any], until: range) -> None:
-        known = readings.Readings()
+        known = readings.ReadingSummary()
         for k in range(until.stop):
-            known = readings.updated(known, _sample(k, **changes, counts_0=500 + k % 2 * 256))
+            known = readings.update_readings(
+                known, _sample(k, **changes, counts_0=500 + k % 2 * 256)
+            )
             if k in until:
                 refusal = readings.objection(known, CHANNELS, turns_per_volt_s=0.4)
                 told = refusal.error if refusal else "may be armed"
                 print(k, told, readings.start_rad(known), round(known.volt_s, 6))
 
-    unread = readings.objection(readings.Readings(), CHANNELS, turns_per_volt_s=0.4)
+    unread = readings.objection(readings.ReadingSummary(), CHANNELS, turns_per_volt_s=0.4)
     print(unread.error if unread else "")
     objections({"u_applied_v": 3.5}, range(124, 127))
     objections({"u_applied_v": 1.0}, range(200, 201))
     objections({"flags": int(Flag.ADC1_RAIL), "value_0": float("nan")}, range(24, 27))
-    apart = readings.updated(readings.Readings(), _sample(1, u_applied_v=4.0))
+    apart = readings.update_readings(readings.ReadingSummary(), _sample(1, u_applied_v=4.0))
     for k in (26, 52):  # 0.2 s, and 8 ms more
-        apart = readings.updated(apart, _sample(k, u_applied_v=4.0))
+        apart = readings.update_readings(apart, _sample(k, u_applied_v=4.0))
         print(k, round(apart.volt_s, 6))
-    moved = readings.updated(apart, _sample(53, counts_0=257))
+    moved = readings.update_readings(apart, _sample(53, counts_0=257))
     print(moved.volt_s, moved.least, moved.greatest)
 
 
@@ -172,13 +174,13 @@ def odd_log() -> None:
 
 def odd_signs() -> None:
     """Print until when a client is there, by its signs."""
-    run = Run(lease="a" * 32, n=3, u=[1.0], dead_man=2.5)
-    there = client_watchdog.begun(run, 100.0)
-    print(there.gone_s, client_watchdog.begun(replace(run, dead_man=None), 100.0).gone_s)
+    run = RunRequest(lease="a" * 32, n=3, u=[1.0], dead_man=2.5)
+    there = client_watchdog.begin_watch(run, 100.0)
+    print(there.gone_s, client_watchdog.begin_watch(replace(run, dead_man=None), 100.0).gone_s)
     for lease, n, has_run in (("a", 4, True), ("b", 5, True), ("a", 4, True), ("a", 5, False)):
         try:
             sign = Renew(lease=lease * 32, n=n)
-            there = client_watchdog.renewed(there if has_run else None, sign, 101.25)
+            there = client_watchdog.renew_watch(there if has_run else None, sign, 101.25)
             print(there.gone_s)
         except ValueError as err:
             print(err)

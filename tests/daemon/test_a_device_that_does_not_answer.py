@@ -8,15 +8,15 @@ from random import Random
 import pytest
 from armrig_daemon.config import Config
 from armrig_daemon.decisions import step
-from armrig_daemon.decisions.outcomes import unanswered
+from armrig_daemon.decisions.outcomes import silence_cause
 from armrig_daemon.decisions.state import (
     Action,
+    DecisionState,
     Emit,
     Event,
     LinkDown,
     LinkUp,
     Received,
-    State,
     Tick,
     Wakeup,
 )
@@ -131,8 +131,8 @@ def test_no_complaint_about_the_line_is_made_for_a_device_that_answers() -> None
 
     met = heard(bench, bench.loop.state.device._replace(seq=1), silent)
 
-    assert unanswered(silent) != ""
-    assert unanswered(met.state) == ""
+    assert silence_cause(silent) != ""
+    assert silence_cause(met.state) == ""
     again = Decided(replace(silent, asked=None, device=None), bench.ports.now, Tick(1 << 20, 0))
     assert again.state.link.came.bytes == 0
     assert again.state.asked is not None
@@ -142,7 +142,7 @@ def test_no_complaint_about_the_line_is_made_for_a_device_that_answers() -> None
     )
 
 
-def _silent(bench: Bench) -> State:
+def _silent(bench: Bench) -> DecisionState:
     """Return the state of a bench whose device has not answered for long, but brought bytes."""
     line = _Line(lambda: b"x")
     line.run_for(WITHIN_MS)

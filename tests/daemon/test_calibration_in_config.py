@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from armrig.recordings.files.container import read
 from armrig_core.commands.codes import COMPLETE
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.errors import InputError
 from armrig_core.recording_file.manifest import CALIBRATION_RAW
 from armrig_core.rig.calibration import Calibration, Made, Potentiometer
@@ -104,12 +104,12 @@ def test_every_recording_carries_the_samples_of_its_calibration(tmp_path: Path) 
 
 def _attached(folder: Path, config: Config) -> bytes | None:
     runs = Runs(config, folder, lambda: None)
-    order, _ = open_run(runs, Run(lease="a" * 32, n=1, u=[0.0]), 0.01)
+    order, _ = open_run(runs, RunRequest(lease="a" * 32, n=1, u=[0.0]), 0.01)
     started = RunStarted(t_host_ns=0, run_id=order.run_id, k_first=0, count=1)
     state = State(t_host_ns=0, phase="active", reason="", owner="", ts_us=10_000, device={})
     path = runs.begin(started, state, {}, 0)
     runs.end(COMPLETE)
-    assert runs.finished(30)[0] == "info"
+    assert runs.completion_line(30)[0] == "info"
     content = read(path.with_suffix("")) or read(path)
     return content.attachments.get(CALIBRATION_RAW)
 

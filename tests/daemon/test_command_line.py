@@ -15,7 +15,7 @@ import typer
 from armrig_daemon import command_line
 from armrig_daemon.__main__ import main
 from armrig_daemon.command_line import app
-from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.host import LineHost
 from armrig_daemon.conformance.rule import Result
 from armrig_daemon.emulator import real_time
 from armrig_daemon.emulator.settings import EmulatorSettings
@@ -182,7 +182,7 @@ def test_the_results_of_a_device_are_printed_and_decide_the_exit_code(
 ) -> None:
     results = [Result(n, f"rule {n}", outcome, "") for n, outcome in enumerate(outcomes)]
 
-    def tried(host: Host, report: Callable[[Result], None], rules: Any) -> list[Result]:
+    def tried(host: LineHost, report: Callable[[Result], None], rules: Any) -> list[Result]:
         for result in results:
             report(result)
         return results

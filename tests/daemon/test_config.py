@@ -12,7 +12,7 @@ import pytest
 from armrig_core.errors import InputError
 from armrig_core.rig.arm import ArmParameters
 from armrig_core.rig.calibration import Calibration, Potentiometer
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from armrig_core.rig.volts import code_of
 from armrig_daemon.config import (
     ArmSettings,
@@ -267,7 +267,7 @@ def test_the_highest_voltage_of_a_description_is_in_force_for_each_rig(
     name: str, tmp_path: Path
 ) -> None:
     """A description of the arm lost it without a word."""
-    (tmp_path / "own.toml").write_bytes(shipped(name).text + b"\n[input]\nu_max_v = 2.0\n")
+    (tmp_path / "own.toml").write_bytes(builtin(name).text + b"\n[input]\nu_max_v = 2.0\n")
 
     config = load([], {}, {"rig": {"file": str(tmp_path / "own.toml")}})
 
@@ -337,7 +337,7 @@ def test_without_a_key_the_limits_of_the_description_are_in_force(tmp_path: Path
     """0 adds no limit, and so removes none; `u_max_v` = 0 allows 0 V only."""
     for limits in ("", "revolutions = 0\nalpha_rad = 0\nslew_v = 0\nu_min_v = 0"):
         config = load([_of_narrow_rig(tmp_path, limits)], {}, {})
-        rig = config.limited(description_of(config))
+        rig = config.narrow_description(description_of(config))
 
         assert config.limits.u_max_v == 2.0
         assert (rig.outputs["theta_1"].turns, config.rules(rig).turns) == (1.5, 150)
@@ -350,7 +350,7 @@ def test_without_a_key_the_limits_of_the_description_are_in_force(tmp_path: Path
 def test_a_narrower_limit_narrows_each_end_of_a_range(tmp_path: Path) -> None:
     limits = "u_max_v = 1.5\nu_min_v = 0.5\nslew_v = 5\nrevolutions = 1\nalpha_rad = 0.45"
     config = load([_of_narrow_rig(tmp_path, limits)], {}, {})
-    rig = config.limited(description_of(config))
+    rig = config.narrow_description(description_of(config))
 
     assert (config.limits.u_min_v, config.limits.u_max_v) == (0.5, 1.5)
     assert rig.outputs["theta_1"].turns == 1.0
@@ -363,7 +363,7 @@ def test_the_description_of_a_rig_may_be_a_shipped_one(tmp_path: Path) -> None:
     own.write_text('[rig]\nfile = "rc"\n')
 
     shipped_one = description_of(load([own], {}, {}))
-    (tmp_path / "rc").write_bytes(shipped("heater").text)
+    (tmp_path / "rc").write_bytes(builtin("heater").text)
     beside = description_of(load([own], {}, {}))
 
     assert (shipped_one.rig.name, beside.rig.name) == ("rc", "heater")

@@ -12,7 +12,7 @@ from armrig_core.commands.codes import GapCode
 from armrig_core.rig.volts import code_of
 from armrig_core.telemetry.telemetry import decode_sample
 from armrig_daemon import pipe
-from armrig_daemon.config import Config, Device, Limits, Timing
+from armrig_daemon.config import Config, DeviceTable, Limits, TimingTable
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Phase
 from armrig_daemon.pipe import Alive, Answer, Gap, Quit, Reset, RunEnded, RunStarted
 from armrig_daemon.pipe import State as StateRecord
@@ -173,7 +173,7 @@ def test_a_replayed_session_of_host_frames_does_not_move_the_motor(
 
 
 def test_a_shorter_sampling_time_is_not_mistaken_for_a_pause() -> None:
-    bench = Bench(Config(timing=Timing(Ts=0.5)))
+    bench = Bench(Config(timing=TimingTable(Ts=0.5)))
     between_ticks = bench.ports.now + 300 * MS
 
     bench.order(pipe.Arm(order=49, owner="a", lease=LEASE, ts_us=10_000), at_ns=between_ticks)
@@ -246,7 +246,7 @@ def test_the_loop_ends_after_the_loss_of_the_device_too(driven: Bench) -> None:
 def test_a_limit_of_the_configuration_reaches_the_device() -> None:
     """S1 in three layers: the device refuses what the daemon would not have sent."""
     bench = Bench(
-        Config(limits=Limits(u_max_v=2.0, revolutions=1.5), device=Device(watchdog_ms=50))
+        Config(limits=Limits(u_max_v=2.0, revolutions=1.5), device=DeviceTable(watchdog_ms=50))
     )
 
     config = bench.ports.device._fw.config

@@ -21,7 +21,7 @@ import pytest
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.manifest import Manifest
-from armrig_core.recording_file.recorder import Recording, RecordingError
+from armrig_core.recording_file.recorder import ActiveRecording, RecordingError
 from armrig_core.telemetry.telemetry import Outgoing, Sample, decode_sample, encode_sample
 from armrig_daemon.config import Config
 from armrig_daemon.pipe import Answer, Arm, Gap, Log, Run, RunEnded, RunStarted
@@ -131,7 +131,7 @@ def _refused(err: RecordingError, directory: Path) -> None:
     assert not list(directory.iterdir())
 
 
-def recorded(directory: Path, disk: Disk) -> Recording | None:
+def recorded(directory: Path, disk: Disk) -> ActiveRecording | None:
     """Record 2 s on a disk, each batch flushed and synced; check the files and the messages."""
     with (
         disk.installed(),
@@ -140,7 +140,9 @@ def recorded(directory: Path, disk: Disk) -> Recording | None:
     ):
         path = disk.path(directory / "run.mcap")
         try:
-            recording = Recording.create(path, MANIFEST, {}, t_first_ns=5, changed=lambda: None)
+            recording = ActiveRecording.create(
+                path, MANIFEST, {}, t_first_ns=5, changed=lambda: None
+            )
         except RecordingError as err:
             _refused(err, directory)
             return None

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
-from armrig_core.rig.volts import applied_code, code_of, volts_of
+from armrig_core.rig.volts import code_of, device_code, volts_of
 from armrig_core.telemetry.telemetry import decode_sample
 from armrig_daemon import pipe
-from armrig_daemon.config import Config, Device, Timing
+from armrig_daemon.config import Config, DeviceTable, TimingTable
 from armrig_daemon.decisions.state import Ordered, Phase
 from armrig_daemon.pipe import Clock, Gap, RunEnded, RunStarted, State
 from armrig_protocol.decoder import feed
@@ -49,10 +49,10 @@ def assert_aligned(bench: Bench, volts: list[float], missing: int = 0) -> None:
     for s in samples:
         code = code_of(volts[s.k - started.k_first])
         assert s.u_cmd_v == volts_of(code)
-        assert s.u_applied_v == volts_of(applied_code(code, 10))
+        assert s.u_applied_v == volts_of(device_code(code, 10))
     for gap in gaps:
         code = code_of(volts[gap.k_first - started.k_first])
-        assert gap.u_held_v == volts_of(applied_code(code, 10))
+        assert gap.u_held_v == volts_of(device_code(code, 10))
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def assert_aligned(bench: Bench, volts: list[float], missing: int = 0) -> None:
 @pytest.mark.parametrize("queue", [512, 256])
 def test_every_u_is_applied_at_its_k(ts_us: int, baud: int, queue: int) -> None:
     """From 4 Hz to 2 kHz; an Uno's queue is enough."""
-    bench = Bench(Config(device=Device(baud=baud)), queue=queue)
+    bench = Bench(Config(device=DeviceTable(baud=baud)), queue=queue)
     volts = telegraph(20 if ts_us > 100_000 else 2000)
 
     run(bench, volts, ts_us)
@@ -95,7 +95,7 @@ def test_lost_setpoints_are_sent_again(queue: int) -> None:
 
 def test_a_stall_longer_than_the_watchdog_ends_at_0_v() -> None:
     """300 ms: the device stops by itself, and the host trips at its first tick."""
-    bench = Bench(Config(device=Device(watchdog_ms=250)))
+    bench = Bench(Config(device=DeviceTable(watchdog_ms=250)))
     bench.play(telegraph(1000))
     bench.run_for(2000)
     bench.lateness_ns = 300 * MS
@@ -192,7 +192,7 @@ def test_the_lateness_of_a_scheduled_sample_does_not_grow_with_the_drift() -> No
 
 
 def test_the_state_reports_the_period_of_the_following_samples() -> None:
-    bench = Bench(Config(timing=Timing(Ts=0.02)))
+    bench = Bench(Config(timing=TimingTable(Ts=0.02)))
 
     bench.play([2.0] * 400, 5_000)
     bench.run_for(300)

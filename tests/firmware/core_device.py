@@ -14,7 +14,7 @@ from typing import Any
 from armrig_core.rig.volts import duty
 from armrig_daemon.emulator import clock
 from armrig_daemon.emulator.board import VoltageError
-from armrig_daemon.emulator.clock import U32, Clock
+from armrig_daemon.emulator.clock import U32, EmulatedClock
 from armrig_daemon.emulator.device import Device
 from armrig_protocol.messages import Cause, State
 
@@ -51,12 +51,12 @@ class CoreFirmware:
         return Cause.POWER_ON if self._state.is_booting else _CAUSES[self._c.pc_cause()]
 
     @property
-    def clock(self) -> Clock:
+    def clock(self) -> EmulatedClock:
         """The device's clock."""
-        return Clock(self._state.reset_ns, self._state.second_ns)
+        return EmulatedClock(self._state.reset_ns, self._state.second_ns)
 
     @clock.setter
-    def clock(self, new: Clock) -> None:
+    def clock(self, new: EmulatedClock) -> None:
         self._state.reset_ns, self._state.second_ns = new.reset_ns, new.second_ns
 
     @property
@@ -116,7 +116,7 @@ class CoreDevice(Device):
             self._boot_id = int(self._rng.integers(1, U32, endpoint=True))
         self.core = library(self._hardware, self.build)
         self._fw = CoreFirmware(self)
-        started = clock.started(self._settings, now_ns)
+        started = clock.clock_at_reset(self._settings, now_ns)
         setup = Setup(
             now_ns=now_ns,
             reset_ns=started.reset_ns,

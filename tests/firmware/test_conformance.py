@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.host import LineHost
 from armrig_daemon.conformance.line import VirtualLine
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, run
 from armrig_daemon.emulator.settings import EmulatorSettings
@@ -26,7 +26,7 @@ def test_the_c_core_passes_all_rules_of_the_protocol(
     emulated = EmulatorSettings(boot_ms=5.0, **AT_A_RAIL, **settings)
     device = CoreDevice(emulated, 0)
 
-    results = run(Host(VirtualLine(device, resets=resets), emulated.baud), lambda result: None)
+    results = run(LineHost(VirtualLine(device, resets=resets), emulated.baud), lambda result: None)
 
     assert [r for r in results if r.outcome == FAIL] == []
     assert [r.outcome for r in results].count(NOT_TRIED) == (not resets)

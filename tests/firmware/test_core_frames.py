@@ -10,7 +10,7 @@ from zlib import crc32
 
 import pytest
 from armrig_core.rig.volts import duty
-from armrig_daemon.emulator.board import reported
+from armrig_daemon.emulator.board import pin_code
 from armrig_daemon.emulator.firmware import Hardware
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import cobs, decoder, frame
@@ -155,4 +155,4 @@ def test_duty_and_code_equal_those_of_python(bits: int) -> None:
     for u in range(0, 65536, 1 if bits == 10 else 31):
         steps = duty(u, bits)
         assert c.rig_duty(u) == steps
-        assert c.rig_code(steps) == reported(u, bits)
+        assert c.rig_code(steps) == pin_code(u, bits)

@@ -9,7 +9,7 @@ from contextlib import closing
 from itertools import product
 
 import pytest
-from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.host import LineHost
 from armrig_daemon.conformance.line import VirtualLine
 from armrig_daemon.conformance.rule import Result
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, run
@@ -47,7 +47,7 @@ def test_the_uno_passes_all_rules_of_the_protocol(
         line = VirtualLine(uno, resets=resets)
         told: list[Result] = []
 
-        run(Host(line), told.append)
+        run(LineHost(line), told.append)
 
         assert [r for r in told if r.outcome == FAIL] == []
         assert [r.outcome for r in told].count(NOT_TRIED) == (not resets)

@@ -7,7 +7,7 @@ from pathlib import Path
 import armrig
 import pytest
 from armrig.recordings.files.replay import replay
-from armrig_core.commands.commands import Control
+from armrig_core.commands.commands import ControlRequest
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 
@@ -28,7 +28,7 @@ def test_the_speed_of_the_arm_is_controlled_and_the_run_is_replayed(
     reference = [2.0] * 100 + [3.0 + 0.1 * seed] * 150
 
     law = arm_law(monitor=arm_monitor(prelude=25))
-    path = service.record(Control(lease=LEASE, n=0, law=law, reference=reference))
+    path = service.record(ControlRequest(lease=LEASE, n=0, law=law, reference=reference))
 
     theta_1 = armrig.load(path).theta_1
     assert theta_1[-1] - theta_1[-51] == pytest.approx(reference[-1] / 2, abs=0.05)

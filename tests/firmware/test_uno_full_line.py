@@ -7,9 +7,9 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
-from armrig_core.rig.volts import applied_code, duty
-from armrig_daemon.config import Config, Device
-from armrig_daemon.decisions.budget import scheduled_us
+from armrig_core.rig.volts import device_code, duty
+from armrig_daemon.config import Config, DeviceTable
+from armrig_daemon.decisions.budget import min_scheduled_us
 from armrig_daemon.emulator.harness import Violation
 from armrig_protocol import messages as wire
 from armrig_protocol.frame import encode
@@ -68,7 +68,7 @@ def test_during_a_flood_every_sample_is_in_time_and_reports_the_pin(baud: int) -
         assert [s.k for s in samples] == list(range(N))
         assert not any(s.flags & (Flag.TICK_LATE | Flag.TX_DROP) for s in samples)
         told = [s.u_k for s in samples]
-        assert told == [0 if s.flags & Flag.UNDERRUN else applied_code(u[s.k], 10) for s in samples]
+        assert told == [0 if s.flags & Flag.UNDERRUN else device_code(u[s.k], 10) for s in samples]
         assert not any(s.flags & Flag.UNDERRUN for s in samples[:240])
         assert _at_the_pin(host, holds) == [duty(code, 10) for code in told]
         assert figures(host.uno.harness).boots == 1
@@ -91,10 +91,10 @@ def test_the_load_of_the_daemon_costs_no_sample_at_the_shortest_ts(baud: int) ->
 
     At 1 Mbaud bytes are lost if many setpoints come at once, and come again.
     """
-    bench = UnoBench(Config(device=Device(baud=baud, watchdog_ms=250)))
+    bench = UnoBench(Config(device=DeviceTable(baud=baud, watchdog_ms=250)))
     try:
         told = bench.loop.state.device
-        ts_us = max(told.ts_min_us, scheduled_us(baud, told.skew_us))
+        ts_us = max(told.ts_min_us, min_scheduled_us(baud, told.skew_us))
         volts = telegraph(2000)
 
         bench.run(volts, ts_us)

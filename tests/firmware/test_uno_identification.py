@@ -7,7 +7,7 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import VirtualService
 
@@ -35,7 +35,7 @@ def error_of_oe(pacing: str, folder: Path) -> float:
     service = VirtualService(Config(), folder, seed=1, switch_on=switch_on)
     u = armrig.telegraph(N, 0.05, low=0.0, high=5.0, seed=1)
     path = service.record(
-        Run(lease="0" * 32, n=0, u=u.tolist(), experiment="blackbox", pacing=pacing)
+        RunRequest(lease="0" * 32, n=0, u=u.tolist(), experiment="blackbox", pacing=pacing)
     )
 
     data = armrig.load(path).dataset(output="theta_1")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from armrig_core.errors import OperationError
-from armrig_core.rig.firmware_image import IMAGES, shipped_image
+from armrig_core.rig.firmware_image import IMAGES, image_path
 from armrig_daemon.command_line import app
 from armrig_daemon.emulator.harness import Harness
 from armrig_daemon.emulator.settings import firmware_image, harness_program
@@ -30,7 +30,7 @@ def test_the_committed_image_equals_the_build_of_the_sources(name: str, tmp_path
         capture_output=True,
     )
 
-    assert image.read_bytes() == shipped_image(name).read_bytes(), (
+    assert image.read_bytes() == image_path(name).read_bytes(), (
         "run `make firmware` and commit the image"
     )
 

@@ -12,7 +12,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.host import LineHost
 from armrig_daemon.conformance.serial_line import SerialLine
 
 from tests.firmware.uno_host import broken, harness
@@ -62,7 +62,7 @@ def test_a_pin_that_is_high_at_reset_is_reported_in_a_line_and_the_exit_code(
 @needs_simavr
 def test_a_host_that_opens_the_port_receives_the_hello_of_the_firmware(port: Path) -> None:
     with closing(SerialLine(str(port), 500_000)) as line:
-        reply = Host(line).hello(30_000)
+        reply = LineHost(line).hello(30_000)
 
     assert reply.firmware != 0
     assert (reply.queue, reply.pwm_bits) == (256, 10)

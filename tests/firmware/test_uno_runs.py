@@ -8,10 +8,10 @@ from functools import partial
 from itertools import pairwise
 
 import pytest
-from armrig_core.rig.description import shipped
-from armrig_core.rig.volts import applied_code, code_of, duty, volts_of
+from armrig_core.rig.description import builtin
+from armrig_core.rig.volts import code_of, device_code, duty, volts_of
 from armrig_core.telemetry.telemetry import Sample
-from armrig_daemon.config import Config, Device
+from armrig_daemon.config import Config, DeviceTable
 from armrig_daemon.decisions.state import Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno
@@ -39,7 +39,7 @@ class UnoBench(Bench):
     ) -> None:
         self.lateness_ns = 0
         self._number = 0
-        rules = (config or Config()).rules(shipped(rig))
+        rules = (config or Config()).rules(builtin(rig))
         settings = EmulatorSettings(seed=seed, baud=rules.baud)
         lateness: Callable[[], int] = lambda: self.lateness_ns  # noqa: E731
         on = partial(switch_on, name=image)
@@ -81,7 +81,7 @@ def test_a_board_is_driven_only_with_the_image_of_its_rig(
     with closing(bench.uno):
         state = bench.loop.state
         assert state.phase is (Phase.SAFE if is_fit else Phase.FAULT)
-        needed = "" if is_fit else f"which `armrig flash --image {shipped(rig).rig.image}` writes"
+        needed = "" if is_fit else f"which `armrig flash --image {builtin(rig).rig.image}` writes"
         assert needed in (state.fault.cause if state.fault else "")
         assert not any(duty.high for duty in bench.uno.duties)
 
@@ -103,7 +103,7 @@ def switched_on() -> Iterator[Callable[..., UnoBench]]:
 @pytest.fixture
 def bench(switched_on: Callable[..., UnoBench]) -> UnoBench:
     """Return a bench whose watchdog outlasts a stall of the host."""
-    return switched_on(Config(device=Device(watchdog_ms=250)))
+    return switched_on(Config(device=DeviceTable(watchdog_ms=250)))
 
 
 def assert_complete(bench: UnoBench, volts: list[float]) -> None:
@@ -114,7 +114,7 @@ def assert_complete(bench: UnoBench, volts: list[float]) -> None:
     assert len(samples) == len(volts)
     for s, v in zip(samples, volts, strict=True):
         assert s.u_cmd_v == volts_of(code_of(v))
-        assert s.u_applied_v == volts_of(applied_code(code_of(v), 10))
+        assert s.u_applied_v == volts_of(device_code(code_of(v), 10))
         assert not s.flags & (Flag.TICK_LATE | Flag.UNDERRUN | Flag.RX_OVERFLOW | Flag.TX_DROP)
     assert bench.phase is Phase.SAFE
     assert bench.volts == 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from armrig_daemon.emulator.clock import Clock
+from armrig_daemon.emulator.clock import EmulatedClock
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import messages as wire
 from armrig_protocol.messages import SCHEMA_HASH, VERSION, Mode, State
@@ -53,7 +53,7 @@ def test_the_device_clock_wraps(mode: Mode, ahead_us: int) -> None:
     """Watchdog, timer, STATUS and the supply's measurements continue across 2^32 µs."""
     both = BothDevices(EmulatorSettings(boot_ms=1.0, queue=64, brown_out_s=1.5))
     for device in both.devices:
-        device._fw.clock = Clock(-((1 << 32) - ahead_us) * US)
+        device._fw.clock = EmulatedClock(-((1 << 32) - ahead_us) * US)
     both.wait(10 * MS)
     both.put(wire.Hello, version=VERSION, schema=SCHEMA_HASH)
     both.put(wire.Config, **{**CONFIG, "mode": mode, "watchdog_ms": 20})

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from armrig_core.rig.firmware_image import shipped_image
+from armrig_core.rig.firmware_image import image_path
 from armrig_daemon.emulator.harness import Duty
 from armrig_daemon.emulator.layout import LAYOUTS
 from armrig_daemon.emulator.settings import EmulatorSettings
@@ -48,7 +48,7 @@ def harness() -> Path:
 def image(baud: int, name: str = "uno") -> Path:
     """Return the firmware for a speed of the line: the checkout's, or one built for it."""
     if baud == BAUD:
-        return shipped_image(name)
+        return image_path(name)
     folder = Path(_folder().name)
     made = folder / f"{baud}.hex"
     here = ROOT / "firmware_protocol" / "firmware" / "boards" / "uno"

@@ -16,7 +16,7 @@ from armrig.recordings.recording import Recording
 from armrig_core.errors import FileError
 from armrig_core.recording_file import file_records
 from armrig_core.recording_file.manifest import CONFIG, INPUT, Manifest, Outcome
-from armrig_core.recording_file.recording_part import Part
+from armrig_core.recording_file.recording_part import RecordingPart
 from armrig_core.telemetry import telemetry
 from armrig_core.telemetry.telemetry import Outgoing
 
@@ -85,7 +85,9 @@ def cut(size: int, seed: int, places: Callable[[list[Flushed]], Iterable[int]]) 
 def written(path: Path, size: int, seed: int) -> list[Flushed]:
     """Write a recording as the daemon does; return its content at each flush and at its end."""
     samples, flushes = noisy(10**6, seed), []
-    part = Part(path).begin(_manifest(), {CONFIG: b"{}", INPUT: b"u_v\n" + b"1.0\n" * 1000}, 0)
+    part = RecordingPart(path).begin(
+        _manifest(), {CONFIG: b"{}", INPUT: b"u_v\n" + b"1.0\n" * 1000}, 0
+    )
     flushes.append(Flushed(part.size, 0))
     while part.size < size:
         for _ in range(FLUSH):

@@ -6,7 +6,14 @@ from collections import Counter
 from math import inf, isfinite
 from random import Random
 
-from armrig_core.commands.commands import REQUESTS, Calibrate, Requests, Run, Set, parse
+from armrig_core.commands.commands import (
+    REQUESTS,
+    CalibrateRequest,
+    Requests,
+    RunRequest,
+    SetRequest,
+    parse,
+)
 from armrig_core.rig.volts import U_MAX_V
 
 from tests.fuzz.mutation import mutated
@@ -59,16 +66,16 @@ def command(rng: Random) -> tuple[str, bytes]:
 
 def check(request: Requests) -> None:
     """Assert that an accepted command is allowed: S1 at the first of its gates."""
-    if isinstance(request, Set):
+    if isinstance(request, SetRequest):
         assert 0.0 <= request.u <= U_MAX_V, request.u
-    if isinstance(request, Calibrate):
+    if isinstance(request, CalibrateRequest):
         for pot in (request.calibration.theta_1, request.calibration.alpha):
             assert isfinite(pot.zero_counts), pot
             assert 0 < abs(pot.rad_per_count) < inf, pot
         driver = request.calibration.driver
         assert 0.1 <= driver.gain <= 10, driver
         assert abs(driver.offset_v) <= U_MAX_V, driver
-    if isinstance(request, Run):
+    if isinstance(request, RunRequest):
         assert request.u
         assert all(0.0 <= volts <= U_MAX_V for volts in request.u), request.u
         assert not set(request.experiment) - set("abcdefghijklmnopqrstuvwxyz0123456789-")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from armrig_core.commands.commands import Set
+from armrig_core.commands.commands import SetRequest
 
 from tests.fuzz import bombs, cuts, data_files, files, frames, recoveries, requests
 from tests.sampling import sampled
@@ -24,7 +24,7 @@ def test_any_fields_of_a_command_are_accepted_or_refused() -> None:
     assert found["taken"] > 150
     assert found["refused"] > 7_500
     with pytest.raises(AssertionError):
-        requests.check(Set(lease="a" * 32, n=0, u=5.1))
+        requests.check(SetRequest(lease="a" * 32, n=0, u=5.1))
 
 
 def test_any_file_is_read_from_its_beginning_or_refused_in_one_line() -> None:

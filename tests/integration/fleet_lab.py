@@ -17,7 +17,7 @@ from armrig.rig.session import open_endpoint
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.telemetry import Sample, encode_sample
 from armrig_daemon.config import Access, Config
-from armrig_daemon.config import Rig as RigTable
+from armrig_daemon.config import RigIdentity as RigTable
 from armrig_daemon.service.access import networks_of
 from armrig_daemon.service.publish import Session
 

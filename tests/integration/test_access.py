@@ -18,14 +18,14 @@ import armrig
 import pytest
 import zenoh
 from armrig.dashboard.foxglove import foxglove
-from armrig.dashboard.serving import Settings, dashboard
+from armrig.dashboard.serving import DashboardSettings, dashboard
 from armrig.lab import pki
 from armrig.rig.client import Rig
 from armrig.rig.replies import RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.access.credential import Credential, read_credential
 from armrig_core.process.open_files import MAX_IDLE_FILES, MOST_FILES, SHUT_S
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from armrig_daemon.config import EX_CONFIG
 
 from tests.integration.driving import bring_to_rest, samples
@@ -157,12 +157,12 @@ def test_a_dashboard_listens_only_on_the_ports_that_it_prints(
     share = "127.0.0.2" if "visitors" in more else None  # an address of its own, as a network's
     before = sockets(os.getpid())
     with contextlib.ExitStack() as opened:
-        served = opened.enter_context(dashboard(Settings(connect=here, share=share)))
+        served = opened.enter_context(dashboard(DashboardSettings(connect=here, share=share)))
         said = [_listening("127.0.0.1", served.url)]
         said += [_listening(share, served.shared_url)] if share else []
         if "foxglove" in more:
             pytest.importorskip("foxglove", reason="no foxglove-sdk")
-            url = opened.enter_context(foxglove(shipped("arm"), rig="1", connect=here, port=0))
+            url = opened.enter_context(foxglove(builtin("arm"), rig="1", connect=here, port=0))
             said.append(_listening("127.0.0.1", url))
         heard = sockets(os.getpid())
 
@@ -218,7 +218,7 @@ def test_a_link_ends_with_the_certificate_that_opened_it(lab: Laboratory, tmp_pa
 
     with Rig("1", connect=lab.endpoint, certificate=short) as rig:
         assert settled(rig) == "safe"
-        wait_for(lambda: not _is_answered(rig._connected(), "rig/1/cmd/status/carol"))
+        wait_for(lambda: not _is_answered(rig._require_session(), "rig/1/cmd/status/carol"))
 
 
 def _chained(lab: Laboratory, name: str) -> dict[str, Any]:

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from armrig.dashboard.serving import Settings, dashboard
-from armrig_core.rig.description import shipped
+from armrig.dashboard.serving import DashboardSettings, dashboard
+from armrig_core.rig.description import builtin
 from armrig_core.telemetry.telemetry import decode_sample
 
 from tests.integration.driving import hold
@@ -32,7 +32,7 @@ ADDRESS = "127.0.0.1"  # a visitor's; of a network in `armrig dashboard --share`
 def doors(served: Bench) -> Iterator[tuple[Client, Client]]:
     """Give who may command, and a visitor."""
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
-    with dashboard(Settings(connect=served.endpoint, share=ADDRESS)) as found:
+    with dashboard(DashboardSettings(connect=served.endpoint, share=ADDRESS)) as found:
         own, visitor = Client(found.url), Client(found.shared_url)
         own.wait("live", lambda seen: not seen["is_stale"])
         yield own, visitor
@@ -98,7 +98,7 @@ def test_foxglove_receives_the_signals_of_its_layout_and_cannot_command(served: 
     from armrig.dashboard.foxglove import foxglove
 
     before = served.voltage_changes()
-    with foxglove(shipped("arm"), rig="1", connect=served.endpoint, port=0) as url:
+    with foxglove(builtin("arm"), rig="1", connect=served.endpoint, port=0) as url:
         protocol = sync_client.Subprotocol("foxglove.sdk.v1")
         with sync_client.connect(url, subprotocols=[protocol], proxy=None) as link:
             greeting, channels, payloads = _heard(link, 20)

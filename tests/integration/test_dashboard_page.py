@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from armrig.dashboard.serving import Settings, dashboard
+from armrig.dashboard.serving import DashboardSettings, dashboard
 from armrig_core.rig.description import path_of
 
 from tests.clients import made_recordings
@@ -350,7 +350,7 @@ def test_long_words_of_a_recording_are_broken(browser: Any, client: Client, serv
 
 def test_the_address_on_a_browser_command_line_opens_once(browser: Any, served: Bench) -> None:
     """Other users can read it in `ps`."""
-    with dashboard(Settings(connect=served.endpoint)) as found:
+    with dashboard(DashboardSettings(connect=served.endpoint)) as found:
         code = found.browser_url.partition("#once=")[2]
         with opened(browser, found.browser_url) as page:
             assert page.url == found.url
@@ -372,7 +372,7 @@ def test_a_visitor_has_the_view_and_only_the_stop_button(browser: Any, served: B
     """The visitor's page has no experiment, no arming, no recordings, no reset."""
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
     with (
-        dashboard(Settings(connect=served.endpoint, share="127.0.0.1")) as found,
+        dashboard(DashboardSettings(connect=served.endpoint, share="127.0.0.1")) as found,
         opened(browser, found.shared_url, PHONE, ignore_https_errors=True) as page,
     ):
         seen = [b for b in page.locator("button").all() if b.is_visible()]

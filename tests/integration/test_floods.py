@@ -33,7 +33,7 @@ def test_run_requests_of_other_clients_do_not_prevent_the_run_of_the_holder(serv
     request = {"lease": "0" * 32, "n": 1, "u": [1.0, 2.0] * 10_000}
     with stranger(served, FLOOD, "run", json.dumps(request)), served.rig() as rig:
         rig.arm("a test", Ts=0.01)
-        rig._ask(commands.Run(**rig._stamp(), u=[1.0] * 500), commands.RunAccepted)
+        rig._ask(commands.RunRequest(**rig._stamp(), u=[1.0] * 500), commands.RunAccepted)
         wait_for(lambda: served.volts() > 0)
         rig.stop()
         wait_for(lambda: served.volts() == 0)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from armrig.rig.client import Rig, RigError
 from armrig.rig.replies import RefusedError
-from armrig_core.commands.commands import Run, RunAccepted
+from armrig_core.commands.commands import RunAccepted, RunRequest
 from armrig_core.process.standstill import boot_ns
 
 from tests.integration.fleet_lab import FleetLab
@@ -52,7 +52,7 @@ def _order(
     rig.arm("a test", Ts=0.01)
     before()
     stamp = rig._stamp() | {"valid_until_ns": boot_ns() + (rig._ahead_ns or 0) + _VALID_NS}
-    run, told = Run(**stamp, u=[2.0] * 200), list[str]()
+    run, told = RunRequest(**stamp, u=[2.0] * 200), list[str]()
 
     def ask() -> None:
         try:

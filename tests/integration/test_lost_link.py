@@ -77,7 +77,7 @@ def test_a_run_is_complete_if_its_router_returns(
             bench.start("armrig", *lab.router_command())
 
     plan = replace(step_plan("a test", seconds=4), dead_man=60)
-    done = collect(plan, rig="1", connect=connect, tell=tell, shown=_killing(router))
+    done = collect(plan, rig="1", connect=connect, tell=tell, display=_killing(router))
 
     assert armrig.load(done.path).N == done.samples == 400
     assert (outcome := armrig.load(done.path).outcome) is not None
@@ -100,7 +100,7 @@ def test_a_client_that_lost_its_link_ends_after_its_dead_man_time(
 
     plan = replace(step_plan("a test", seconds=60), dead_man=DEAD_MAN_S)
     with pytest.raises(LostLinkError) as ended:
-        collect(plan, rig="1", connect=connect, tell=tell, shown=_killing(router))
+        collect(plan, rig="1", connect=connect, tell=tell, display=_killing(router))
 
     assert ", and did not return; by its dead-man the rig stopped the motor at " in str(ended.value)
     assert len(lost_ns) == 1

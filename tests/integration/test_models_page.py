@@ -13,9 +13,9 @@ from typing import Any
 import armrig
 import pytest
 from armrig.cli import main
-from armrig_core.commands.commands import Run
-from armrig_core.rig.description import shipped
-from armrig_daemon.config import Config, Timing
+from armrig_core.commands.commands import RunRequest
+from armrig_core.rig.description import builtin
+from armrig_daemon.config import Config, TimingTable
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 
 from tests.clients.made_recordings import of_the_arm
@@ -41,10 +41,10 @@ def _arm(folder: Path) -> str:
 
 
 def _rc(folder: Path) -> str:
-    config, rig = Config(timing=Timing(Ts=0.05)), shipped("rc")
+    config, rig = Config(timing=TimingTable(Ts=0.05)), builtin("rc")
     service = VirtualService(config, folder, seed=1, description=rig)
     u = armrig.telegraph(400, 0.3, 0.0, 4.0, seed=1)
-    path = service.record(Run(lease=LEASE, n=1, u=u.tolist(), experiment="blackbox-rc"))
+    path = service.record(RunRequest(lease=LEASE, n=1, u=u.tolist(), experiment="blackbox-rc"))
     return path.name
 
 

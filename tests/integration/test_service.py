@@ -39,7 +39,7 @@ def test_an_invalid_voltage_of_an_unchecked_client_is_refused(served: Bench) -> 
         lease = rig.arm("a test").lease
         for volts in ("6.0", "-1.0", "1e999", "NaN", "null", "true", '"3"'):
             payload = f'{{"lease": "{lease}", "n": 1, "u": {volts}}}'
-            session = rig._connected()
+            session = rig._require_session()
             (reply,) = session.get("rig/1/cmd/set", payload=payload, timeout=30)
             assert reply.err is not None, volts
             assert b"set: " in reply.err.payload.to_bytes()

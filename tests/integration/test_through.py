@@ -10,7 +10,7 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ def _recorded(seed: int, folder: Path) -> armrig.Dataset:
     """Play a telegraph on the emulated rig; return its recording's data."""
     u = armrig.telegraph(N, 0.05, low=0.0, high=5.0, seed=seed)
     service = VirtualService(Config(), folder, seed=seed)
-    path = service.record(Run(lease=LEASE, n=0, u=u.tolist(), experiment="blackbox"))
+    path = service.record(RunRequest(lease=LEASE, n=0, u=u.tolist(), experiment="blackbox"))
     return armrig.load(path).dataset(output="theta_1")
 
 

@@ -23,7 +23,7 @@ from armrig.cli import main
 from armrig.cli.recorded_data import recording_path
 from armrig.recordings.usability import all_doubts
 from armrig.report.document import MOST_PAGES
-from armrig_core.commands.commands import Control
+from armrig_core.commands.commands import ControlRequest
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 
@@ -75,7 +75,7 @@ def test_every_line_that_needs_no_rig_prints_what_the_page_shows(
                 assert main(shlex.split(_shorter(line))[1:]) == 0, line
                 commands += 1
             if line.startswith(CONTROL):
-                loop = Control(lease=LEASE, n=0, law=armrig.load_law("law.json"), **STEP)
+                loop = ControlRequest(lease=LEASE, n=0, law=armrig.load_law("law.json"), **STEP)
                 VirtualService(Config(), recorded, seed=1).record(loop)
         said = capsys.readouterr()
         printed += [*said.out.splitlines(), *said.err.splitlines()]

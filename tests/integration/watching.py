@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 from urllib.parse import urlsplit
 
-from armrig.dashboard.serving import Settings, dashboard
+from armrig.dashboard.serving import DashboardSettings, dashboard
 
 from tests.integration.processes import WITHIN_S, Bench, wait_for
 
@@ -112,7 +112,7 @@ def endpoint(bench: Bench) -> str:
 @contextmanager
 def watched(bench: Bench) -> Iterator[Client]:
     """Serve a dashboard of the bench's rig."""
-    with dashboard(Settings(connect=endpoint(bench))) as served:
+    with dashboard(DashboardSettings(connect=endpoint(bench))) as served:
         yield Client(served.url)
 
 

@@ -9,7 +9,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from armrig_protocol.generate import ROOT, generated, main
+from armrig_protocol.generate import ROOT, file_texts, main
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
 
 CC = ("cc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -23,7 +23,7 @@ def _copy(tmp_path: Path) -> Path:
 
 
 def _generated_python(root: Path) -> str:
-    return generated(root)[root / "armrig_protocol" / "messages.py"]
+    return file_texts(root)[root / "armrig_protocol" / "messages.py"]
 
 
 def test_the_generated_files_match_the_schema(capsys: pytest.CaptureFixture[str]) -> None:
@@ -56,7 +56,7 @@ def test_an_added_field_changes_only_the_vectors_of_its_message(tmp_path: Path) 
     (root / "schema.toml").write_text(
         schema.replace(field, field + '\n  { name = "more", type = "u8", doc = "more" },')
     )
-    after = generated(root)[vectors].splitlines()
+    after = file_texts(root)[vectors].splitlines()
 
     changed = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
     docs = [json.loads(b.rstrip(","))["doc"] for _, b in changed]

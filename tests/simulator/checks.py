@@ -19,8 +19,8 @@ from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon import pipe
 from armrig_daemon.decisions.gaps import MAX_MISSING_PIECES
 from armrig_daemon.decisions.requests import MAX_REMEMBERED_FRAMES
-from armrig_daemon.decisions.state import Link
-from armrig_daemon.decisions.state import State as CoreState
+from armrig_daemon.decisions.state import DecisionState as CoreState
+from armrig_daemon.decisions.state import LinkState
 from armrig_daemon.loop.outbox import MAX_WAITING_RECORDS
 from armrig_daemon.pipe import (
     Answer,
@@ -350,7 +350,7 @@ class Checks:
 
     def bounded(self, now_ns: int, state: CoreState, waiting: int) -> None:
         """Judge the size of the loop's memory (R1)."""
-        link = state.link or Link()
+        link = state.link or LinkState()
         kept = len(link.pending) <= MAX_STUFFED + 1 and len(link.sent) <= MAX_UNECHOED
         told = (
             len(state.absent) <= MAX_MISSING_PIECES and waiting <= MAX_WAITING_RECORDS + _MOST_MORE

@@ -21,7 +21,7 @@ from armrig_daemon.decisions import (
     stopping,
     transitions,
 )
-from armrig_daemon.decisions.state import ActiveRun, Control, Phase, Rules
+from armrig_daemon.decisions.state import ActiveRun, Phase, Rules, RunLaw
 from armrig_daemon.emulator import board, firmware, requests
 from armrig_daemon.emulator.firmware import NEVER
 from armrig_protocol import cobs, decoder, frame
@@ -54,13 +54,13 @@ def planted(mutant: Mutant) -> Iterator[None]:
         yield
 
 
-_leased, _report_missing, _carry_out = orders._leased, gaps.report_missing, step.carry_out
+_leased, _report_missing, _carry_out = orders._handle_leased, gaps.report_missing, step.carry_out
 _volts, _feed = board.volts, decoder.feed
-_config, _decide, _started = Rules.config, step._decide, transitions._started
-_observe, _watched, _reset = output_limits.observe, output_limits._watched, orders._reset
+_config, _decide, _started = Rules.config, step._decide, transitions._handle_started
+_observe, _watched, _reset = output_limits.observe, output_limits._next_watch, orders._reset
 _law_decide, _law_observe, _law_outputs = evaluation.decide, evaluation.observe, evaluation._outputs
 _begin_control, _control_decide = transitions._begin_control, control.decide
-_with_reference = Control.with_reference
+_with_reference = RunLaw.with_reference
 _own_decide = own_control.decide
 _advance = evaluation._advance
 _alarm, _monitor_advance = monitor.alarm, monitor.advance
@@ -374,8 +374,8 @@ MUTANTS = (
     _law("a code that the record does not have", (control, "decide", _one_more)),
     _law("the monitor off", (monitor, "alarm", lambda *_: None)),
     _law("a reference that was not rehearsed", (orders, "_refuse_reference", _no_end), also="A1"),
-    _law("a reference of the past", (Control, "with_reference", _reference_of_the_past)),
-    _law("one lost output is not seen", (monitor, "lost", lambda *_: "")),
+    _law("a reference of the past", (RunLaw, "with_reference", _reference_of_the_past)),
+    _law("one lost output is not seen", (monitor, "find_lost_output", lambda *_: "")),
     _law("the gate of the other output", (monitor, "alarm", _gate_of_the_other_output)),
     _law("no innovation gate", (monitor, "advance", _no_gate("unlike"))),
     _law("no simulation gate", (monitor, "advance", _no_gate("astray"))),
@@ -391,9 +391,11 @@ MUTANTS = (
     _law("a prelude outside the limits", (evaluation, "decide", _free_prelude)),
     _law("the control error of the prelude", (evaluation, "_advance", _astray_in_the_prelude)),
     _rule("a limit of the wrong channel", (output_limits, "observe", _wrong_channel)),
-    _rule("a limit that is outside", (output_limits, "_watched", _strict)),
-    _rule("a blind time restarted by an invalid sample", (output_limits, "_watched", _seen_anyway)),
-    _rule("the wrong end of a range", (output_limits, "_watched", _other_end)),
+    _rule("a limit that is outside", (output_limits, "_next_watch", _strict)),
+    _rule(
+        "a blind time restarted by an invalid sample", (output_limits, "_next_watch", _seen_anyway)
+    ),
+    _rule("the wrong end of a range", (output_limits, "_next_watch", _other_end)),
     _rule("no blind time", (output_limits, "blind", lambda *_: None)),
     _rest("CONFIG", (Rules, "config", _rests_at_0)),
     _rest("a tick without a command", (step, "_decide", _0_without_a_command)),
@@ -412,7 +414,7 @@ MUTANTS = (
     ),
     Mutant(
         name="no lease",
-        puts=((orders, "_leased", _any_lease),),
+        puts=((orders, "_handle_leased", _any_lease),),
         breaks=frozenset({"A1", "S5"}),
         faults=("forgery",),
     ),

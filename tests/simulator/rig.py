@@ -150,9 +150,9 @@ class Rig:
         self._start(None)
 
     @property
-    def given_ns(self) -> int:
+    def emulation_ns(self) -> int:
         """The device's share of the time that has passed."""
-        return self.device.given_ns(self.now)
+        return self.device.emulation_ns(self.now)
 
     # -- the ports of the loop -------------------------------------------------------------------
 
@@ -207,7 +207,7 @@ class Rig:
         if self._write_pauses and self._write_pauses[0][0] <= self.now:
             self._pause(self._write_pauses.pop(0), "pause_in_write")
         now = self.now
-        self.checks.sent(self.given_ns, data, now)
+        self.checks.sent(self.emulation_ns, data, now)
         self._log += _MARK.pack(now, b">") + data
         if self.story:
             self.story(now, "host sends", data)
@@ -316,7 +316,7 @@ class Rig:
 
     def delivered(self, now_ns: int, order: Order) -> None:
         """Report an order to the checks before the core takes it."""
-        given = self.device.given_ns
+        given = self.device.emulation_ns
         at_ns = self._orders.pop(id(order), now_ns)
         self.checks.ordered(given(now_ns), given(at_ns), order)
 
@@ -386,7 +386,7 @@ class Rig:
             if loop.ended:
                 self.loop = None
                 self.at(self.now + 300 * MS, self._start)
-        self.checks.zero_in_time(self.given_ns)
+        self.checks.zero_in_time(self.emulation_ns)
         if self.checks.taken is not None:
             raise self.checks.taken
 
@@ -572,7 +572,7 @@ class Rig:
         # Disarmed, but for who has armed since the last stop and trip.
         if checks.lease is not None or checks.is_arming():
             return
-        if checks.ended_ns is not None and self.given_ns - checks.ended_ns < recent_ns:
+        if checks.ended_ns is not None and self.emulation_ns - checks.ended_ns < recent_ns:
             return  # who held it has just let go: the way to rest takes some frames
         checks.seen["T1: disarmed"] += 1
         if checks.phase not in ("safe", "fault"):

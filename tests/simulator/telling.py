@@ -18,7 +18,9 @@ class Silent:
     def _nothing(self, *_: object) -> None:
         return None
 
-    woke = came_back = queued = sampled = forget_device = is_second_over = _nothing
+    note_wake = note_round_trip = note_queue = note_sample = forget_device = is_second_over = (
+        _nothing
+    )
 
 
 class Teller:
@@ -35,7 +37,7 @@ class Teller:
 
     def put(self, record: Record) -> None:
         """Hand over a record."""
-        self._rig.checks.told(self._rig.given_ns, record)
+        self._rig.checks.told(self._rig.emulation_ns, record)
         self._rig.heard(record)
 
     def put_sample(self, sample: Sample) -> None:
@@ -62,7 +64,7 @@ class FullPipe(Teller):
 
     def put(self, record: Record) -> None:
         """Hand over a record; a decision of the core is judged before it waits."""
-        self._rig.checks.told(self._rig.given_ns, record)
+        self._rig.checks.told(self._rig.emulation_ns, record)
         self._outbox.put(record)
 
     def put_sample(self, sample: Sample) -> None:

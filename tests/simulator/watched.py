@@ -11,7 +11,7 @@ from itertools import product
 from typing import Any
 
 from armrig_daemon.emulator.board import Change
-from armrig_daemon.emulator.clock import Clock
+from armrig_daemon.emulator.clock import EmulatedClock
 from armrig_daemon.emulator.device import HOLD_NS, Device
 from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN, Hardware
 from armrig_daemon.emulator.host_time import STALL_NS, HostTime
@@ -48,7 +48,7 @@ class Watching:
 
     # -- the process that emulates it ------------------------------------------------------------
 
-    def given_ns(self, host_ns: int) -> int:
+    def emulation_ns(self, host_ns: int) -> int:
         """Return the device's share of the host's time, at any time that has been."""
         if not self._standstills:
             return host_ns
@@ -56,12 +56,12 @@ class Watching:
 
     def acted_ns(self, host_ns: int) -> int:
         """Return up to which given time it has acted, at a host time that is now."""
-        return self._acted_ns if self.is_stalled else self.given_ns(host_ns)
+        return self._acted_ns if self.is_stalled else self.emulation_ns(host_ns)
 
     def stall(self, now_ns: int, end_ns: int) -> None:
         """Let the process stand still from now on, while it waits."""
-        self._acted_ns = self.given_ns(now_ns)
-        self._time.given_ns(now_ns, self._acted_ns)  # it has been on time until now
+        self._acted_ns = self.emulation_ns(now_ns)
+        self._time.emulation_ns(now_ns, self._acted_ns)  # it has been on time until now
         self._due_ns = self._time.look_ns(self.visible_ns())
         self.is_stalled = True
         if self._tolerates:
@@ -71,8 +71,8 @@ class Watching:
 
     def go_on(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Let the process go on as `emulator.real_time` does; return what it sends at once."""
-        given_ns = self._time.given_ns(now_ns, self._due_ns)
-        assert given_ns == self.given_ns(now_ns)
+        given_ns = self._time.emulation_ns(now_ns, self._due_ns)
+        assert given_ns == self.emulation_ns(now_ns)
         self.is_stalled = False
         sent = [(now_ns, data) for _, data in super().advance(given_ns)]
         waiting, self._waiting = self._waiting, []
@@ -121,7 +121,7 @@ class Watching:
         if self._clock_start_ns:
             fw = self._fw
             second_ns = fw.clock.second_ns
-            fw.clock = Clock(now_ns - self._clock_start_ns * second_ns // 10**9, second_ns)
+            fw.clock = EmulatedClock(now_ns - self._clock_start_ns * second_ns // 10**9, second_ns)
         self.checks.booted()
 
     def _arrive(self, t_ns: int) -> None:

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections import deque
 from pathlib import Path
 
-from armrig_core.rig.firmware_image import shipped_image
-from armrig_core.rig.volts import applied_code
+from armrig_core.rig.firmware_image import image_path
+from armrig_core.rig.volts import device_code
 from armrig_core.rig.volts import duty as duty_of
 from armrig_daemon.emulator.board import FULL_SCALE_V
 from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN
@@ -53,7 +53,7 @@ class WatchedUno(Uno):
         self._pwm_bits = layout.pwm_bits
         self._acts_ns = layout.period * 1000 // CYCLES_PER_US + _LATCH_NS
         """Time from a latch until the code acts: in the next period of the PWM."""
-        super().__init__(harness(), shipped_image(name), settings, layout=layout, trace=trace)
+        super().__init__(harness(), image_path(name), settings, layout=layout, trace=trace)
 
     def _begin(self, now_ns: int) -> None:
         self._reset_ns = now_ns
@@ -68,7 +68,7 @@ class WatchedUno(Uno):
         self._low_ns = 0
         self.checks.booted()
 
-    def given_ns(self, host_ns: int) -> int:
+    def emulation_ns(self, host_ns: int) -> int:
         """Return the device's share of the host's time: all of it."""
         return host_ns
 
@@ -166,7 +166,7 @@ class WatchedUno(Uno):
         said = decode(frame.data[:-1]) if frame is not None else None
         scheduled = isinstance(said, wire.Setpoints)
         code = _code_of(said, m)
-        if applied_code(code, self._pwm_bits) != m.u_k:
+        if device_code(code, self._pwm_bits) != m.u_k:
             raise Violation("S5", t_ns, f"{m} where {said} was taken in")
         self.checks.latch(hold_ns, code, m.k, m.u_seq, scheduled=scheduled)
         self.checks.remember(m.k, m.u_k, scheduled=scheduled)

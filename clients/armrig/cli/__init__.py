@@ -21,7 +21,7 @@ import typer
 import typer.core
 from armrig_core.errors import ArmrigError, OperationError, ParameterError
 from armrig_core.process.loading import is_interrupt, use_one_thread
-from armrig_core.process.options import HELP, chosen, with_options
+from armrig_core.process.options import HELP, preset, with_options
 
 from armrig.cli.printing import tell_error
 
@@ -123,14 +123,14 @@ def _print_version(wanted: bool) -> None:
 
 
 def _options(
-    print_version: bool = chosen(
+    print_version: bool = preset(
         False,
         "Show the version and exit.",
         names="--version",
         is_eager=True,
         callback=_print_version,
     ),
-    debug: bool = chosen(False, "Print the traceback of an internal error.", names=_DEBUG),
+    debug: bool = preset(False, "Print the traceback of an internal error.", names=_DEBUG),
 ) -> None:
     """Define the options that precede the command; `_internal` reads `debug` from the arguments."""
 
@@ -140,24 +140,24 @@ def app(*names: str) -> typer.Typer:
 
     Only the modules of these commands are imported, so that a stop is sent without delay.
     """
-    found = typer.Typer(
+    command_line = typer.Typer(
         cls=_UnderHeadings,
         context_settings=HELP | {"max_content_width": 100},
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
     )
-    found.callback(help="Record, identify and validate models of a control laboratory's rig.")(
-        with_options(_options)
-    )
+    command_line.callback(
+        help="Record, identify and validate models of a control laboratory's rig."
+    )(with_options(_options))
     for name in names or _MODULES:
         module = import_module(f"armrig.cli.{_MODULES[name]}")
         command = getattr(module, f"{name}_" if iskeyword(name) else name)
         if isinstance(command, typer.Typer):
-            found.add_typer(command, name=name, context_settings=HELP)
+            command_line.add_typer(command, name=name, context_settings=HELP)
         else:
             line = f"Example: armrig {name} {_EXAMPLES.get(name, '')}".rstrip()
-            found.command(name, epilog=line, context_settings=HELP)(with_options(command))
-    return found
+            command_line.command(name, epilog=line, context_settings=HELP)(with_options(command))
+    return command_line
 
 
 def load(arguments: Sequence[str]) -> Any:
@@ -180,7 +180,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with _signals() as received:
         code = _run(arguments)
     if received:
-        return _failed(f"ended by {received[0].name}", 128 + received[0])
+        return _report_error(f"ended by {received[0].name}", 128 + received[0])
     return code
 
 
@@ -214,51 +214,51 @@ def _signals() -> Iterator[list[signal.Signals]]:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        command = load(given)
+        command = load(words)
         if "_ARMRIG_COMPLETE" in os.environ:  # the shell requests completions
             command.main([], prog_name="armrig")
         # Not command.main(), which has other exit codes for Ctrl-C and for a broken pipe.
-        with command.make_context("armrig", [*given] or ["--help"]) as context:
-            _require_limits(given)
+        with command.make_context("armrig", [*words] or ["--help"]) as context:
+            _require_limits(words)
             command.invoke(context)
     except typer.Exit as err:
-        return int(err.exit_code) if given else 2  # without a command, help is printed
+        return int(err.exit_code) if words else 2  # without a command, help is printed
     except _UsageError as err:
         from armrig.cli.usage_errors import usage_error
 
         if type(err).__name__ == "NoArgsIsHelpError":  # its message is the help, in many lines
             typer.echo(err.format_message())
             return 2
-        return _failed(usage_error(err, given), 2)
+        return _report_error(usage_error(err, words), 2)
     except (typer.Abort, KeyboardInterrupt) as err:
-        return _failed(str(err) or "interrupted", 130)
+        return _report_error(str(err) or "interrupted", 130)
     except BrokenPipeError:  # `armrig info F | head`
         # Nobody reads the output: the buffer must not raise when the interpreter ends.
         with suppress(OSError, ValueError), Path(os.devnull).open("wb") as nothing:
             os.dup2(nothing.fileno(), sys.stdout.fileno())
         return 128 + _SIGPIPE
     except OSError as err:
-        return _failed(_of_file(err), 1)
+        return _report_error(_of_file(err), 1)
     except ParameterError as err:
-        return _failed(err.named(f"--{err.parameter.replace('_', '-')}"), 1)
+        return _report_error(err.named(f"--{err.parameter.replace('_', '-')}"), 1)
     except ArmrigError as err:
-        return _failed(str(err), 1)
+        return _report_error(str(err), 1)
     except Exception as err:
         if is_interrupt(err):
-            return _failed("interrupted", 130)
+            return _report_error("interrupted", 130)
         if isinstance(err, ModuleNotFoundError) and err.name in _WITH_A_RIG:
-            what = f"armrig {' '.join(given[:1])}"
-            return _failed(f"{what} needs Linux: this system has no {err.name}", 1)
-        return _internal(err, given)
+            command_name = f"armrig {' '.join(words[:1])}"
+            return _report_error(f"{command_name} needs Linux: this system has no {err.name}", 1)
+        return _internal(err, words)
     return 0
 
 
-def _require_limits(given: Sequence[str]) -> None:
+def _require_limits(arguments: Sequence[str]) -> None:
     """Refuse a command for which the limits of this process are too low; `stop` is always tried."""
-    name = next((word for word in given if not word.startswith("-")), "")
-    if name in _NEEDS and sys.platform != "win32" and not {"-h", "--help"} & {*given}:
+    name = next((word for word in arguments if not word.startswith("-")), "")
+    if name in _NEEDS and sys.platform != "win32" and not {"-h", "--help"} & {*arguments}:
         from armrig_core.process.open_files import require
 
         try:
@@ -270,12 +270,12 @@ def _require_limits(given: Sequence[str]) -> None:
             tell_error(f"{err}; the stop is tried; if the motor still turns, {way_out}")
 
 
-def _internal(err: Exception, given: Sequence[str]) -> int:
+def _internal(err: Exception, arguments: Sequence[str]) -> int:
     """Report an internal error, write its traceback to a temporary file, and return 1."""
     text = "".join(format_exception(err))
-    if _DEBUG in given:
+    if _DEBUG in arguments:
         typer.echo(text, err=True, nl=False)
-    head = f"armrig {version('armrig')}, Python {sys.version}\n$ armrig {shlex.join(given)}\n"
+    head = f"armrig {version('armrig')}, Python {sys.version}\n$ armrig {shlex.join(arguments)}\n"
     try:
         with tempfile.NamedTemporaryFile(
             "w",
@@ -289,11 +289,11 @@ def _internal(err: Exception, given: Sequence[str]) -> int:
         where = file.name
     except OSError:  # such as a full disk: the person can still print the traceback
         where = f"what `armrig {_DEBUG} …` prints"
-    what = " ".join(f"{type(err).__name__}: {err}".split())
-    return _failed(f"internal error, please report it with {where}: {what}", 1)
+    summary = " ".join(f"{type(err).__name__}: {err}".split())
+    return _report_error(f"internal error, please report it with {where}: {summary}", 1)
 
 
-def _failed(message: str, code: int) -> int:
+def _report_error(message: str, code: int) -> int:
     tell_error(message)
     return code
 

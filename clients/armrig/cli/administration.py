@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import InputError, OperationError
-from armrig_core.process.options import Commands, argument, chosen, group, option
+from armrig_core.process.options import CommandGroup, argument, group, option, preset
 from armrig_core.process.signal_pipe import until_signal
 
 from armrig.cli.next_step import say_next
@@ -36,8 +36,8 @@ from armrig.numerics.quantities import plural
 if TYPE_CHECKING:
     from armrig_core.rig.firmware_image import FirmwareImage
 
-    from armrig.lab.avrdude import Board
-    from armrig.lab.installation import Part, Plan
+    from armrig.lab.avrdude import SerialBoard
+    from armrig.lab.installation import InstallationPlan, Part
     from armrig.lab.pki import Issued
 
 BROWN_OUT = (
@@ -55,7 +55,7 @@ _BAUD = 500_000  # of the firmware that is shipped
 
 def doctor(
     rig: RigId = "1",
-    connect: str | None = chosen(
+    connect: str | None = preset(
         None,
         "Socket of a daemon on this machine, unixsock-stream/PATH; other endpoints are refused.",
         "the configuration's [client] connect, otherwise the daemon on this machine",
@@ -86,21 +86,21 @@ def doctor(
 
 
 def flash(
-    port: str | None = chosen(
+    port: str | None = preset(
         None, "Serial port of the board.", "the Uno, if only one is plugged in", metavar="DEVICE"
     ),
-    image: str | None = chosen(
+    image: str | None = preset(
         None,
         "Firmware of armrig to write: uno (the arm), tclab, heatshield or optoshield.",
         "uno",
         metavar="NAME",
     ),
-    file: Path | None = chosen(
+    file: Path | None = preset(
         None, "Firmware file to write (Intel HEX).", "the file of --image", names="--hex FILE"
     ),
-    baud: int = chosen(_BAUD, "Speed of the firmware's serial line, in bit/s ([device] baud)."),
-    dry_run: bool = chosen(False, "Show the plan only, without opening the port."),
-    yes: bool = chosen(False, "Confirm that the motor is unplugged; do not ask."),
+    baud: int = preset(_BAUD, "Speed of the firmware's serial line, in bit/s ([device] baud)."),
+    dry_run: bool = preset(False, "Show the plan only, without opening the port."),
+    yes: bool = preset(False, "Confirm that the motor is unplugged; do not ask."),
     json: Json = False,
 ) -> None:
     """Write the firmware to an Uno, and check what the board runs.
@@ -108,20 +108,20 @@ def flash(
     The command uses avrdude and the board's boot loader, Optiboot, and verifies the written
     firmware. It refuses a port that a daemon uses, and a board with another boot loader.
     """
-    from armrig_core.rig.firmware_image import read_image, shipped_image
+    from armrig_core.rig.firmware_image import image_path, read_image
 
     from armrig.lab import avrdude
 
     show: Callable[[str], object] = (lambda _: None) if json else say
     if image is not None and file is not None:
         raise typer.BadParameter("--image and --hex exclude each other")
-    firmware = read_image(file or shipped_image(image or "uno"))
+    firmware = read_image(file or image_path(image or "uno"))
     size = len(firmware.data)
     if size > avrdude.FLASH_BYTES:
         has = f"an {avrdude.CHIP} has room for {avrdude.FLASH_BYTES}"
         raise InputError(f"{firmware.path}: {size} B, but {has}")
     program = avrdude.find()
-    board = avrdude.chosen(port, avrdude.plugged_in())
+    board = avrdude.choose_board(port, avrdude.usb_boards())
     call = avrdude.command(program, port=board.port, image=firmware.path)
     about = {"path": str(firmware.path), "bytes": size, "crc": f"{firmware.crc:08x}"}
     about["sha256"] = firmware.sha256
@@ -134,7 +134,7 @@ def flash(
     )
     show(plan)
     if not dry_run:
-        with avrdude.held(board):
+        with avrdude.lock_port(board):
             show(MOTOR)
             agree("Is the motor unplugged? Write the board?", yes=yes)
             with spinner("asking the boot loader"):
@@ -144,15 +144,15 @@ def flash(
             with spinner("flash:") as moved:
                 avrdude.write(call, moved)
             show("written; the board returned the same bytes")
-            facts["device"], found = _device(board, firmware, baud)
-            show(found)
+            facts["device"], identity = _device(board, firmware, baud)
+            show(identity)
     if json:
         print_json(facts)
     elif not dry_run:
         say_next("conformance", port=quote(board.port))
 
 
-def _device(board: Board, firmware: FirmwareImage, baud: int) -> tuple[dict[str, Any], str]:
+def _device(board: SerialBoard, firmware: FirmwareImage, baud: int) -> tuple[dict[str, Any], str]:
     """Return the identity that the board reports, as JSON fields and as a line."""
     from armrig_protocol.messages import State
 
@@ -181,8 +181,8 @@ def _device(board: Board, firmware: FirmwareImage, baud: int) -> tuple[dict[str,
 
 def conformance(
     device: Annotated[str, option("--device DEVICE", "Serial port of the device.")],
-    baud: int = chosen(_BAUD, "Speed of the line, in bit/s."),
-    motor_unplugged: bool = chosen(False, "Confirm that the motor is unplugged; do not ask."),
+    baud: int = preset(_BAUD, "Speed of the line, in bit/s."),
+    motor_unplugged: bool = preset(False, "Confirm that the motor is unplugged; do not ask."),
     json: Json = False,
 ) -> None:
     """Test a device against PROTOCOL.md, with the motor unplugged.
@@ -209,9 +209,9 @@ def glossary(
 ) -> None:
     """Explain a term of armrig in one sentence, or list all terms."""
     terms = read_terms(_page().read_text(encoding="utf-8"))
-    shown = {term: terms[term] for term in ([_found(term, terms)] if term else terms)}
-    lines = (f"{name}: {text}" for name, text in shown.items())
-    print_result(shown, *(lines if term else terms), json=json)
+    sentences = {term: terms[term] for term in ([_matching_term(term, terms)] if term else terms)}
+    lines = (f"{name}: {text}" for name, text in sentences.items())
+    print_result(sentences, *(lines if term else terms), json=json)
 
 
 def read_terms(page: str) -> dict[str, str]:
@@ -222,16 +222,16 @@ def read_terms(page: str) -> dict[str, str]:
     }
 
 
-rigs = Commands("List the descriptions of rigs, or check a description.", no_args_is_help=False)
+rigs = CommandGroup("List the descriptions of rigs, or check a description.", no_args_is_help=False)
 
 
 @rigs.callback(invoke_without_command=True)
 def list_rigs(context: typer.Context) -> None:
     """List the descriptions that come with armrig; `armrig rigs check FILE` checks another."""
-    from armrig_core.rig.description import read_description, shipped_files
+    from armrig_core.rig.description import builtin_files, read_description
 
     if context.invoked_subcommand is None:
-        for path in shipped_files():
+        for path in builtin_files():
             echo(f"{path.stem:10} {read_description(path).rig.title}")
         inform("`armrig lab --rig-file NAME` emulates a rig; `armrig rigs check NAME` shows it")
 
@@ -270,7 +270,7 @@ def _page() -> Path:
     return packaged if packaged.is_file() else Path(__file__).parents[3] / "docs" / "glossary.md"
 
 
-def _found(term: str, terms: dict[str, str]) -> str:
+def _matching_term(term: str, terms: dict[str, str]) -> str:
     """Return the term that a text means, in any case and hyphenation, also in the plural."""
     from difflib import get_close_matches
 
@@ -290,7 +290,9 @@ def _plain(term: str) -> str:
     return " ".join(re.split(r"[\s_-]+", term.strip().casefold()))
 
 
-service = Commands("Install, remove or show the systemd service of the rigs.", no_args_is_help=True)
+service = CommandGroup(
+    "Install, remove or show the systemd service of the rigs.", no_args_is_help=True
+)
 Root = Annotated[
     Path,
     option(
@@ -318,8 +320,8 @@ _NEEDED: dict[Part, str] = {
 
 @service.add("service install --dry-run")
 def install(
-    router: bool = chosen(False, "Install a lab's router."),
-    recorder: bool = chosen(False, "Install the recorder of all rigs of a router."),
+    router: bool = preset(False, "Install a lab's router."),
+    recorder: bool = preset(False, "Install the recorder of all rigs of a router."),
     root: Root = _SYSTEM,
     dry_run: DryRun = False,
     yes: Yes = False,
@@ -366,13 +368,13 @@ def status(root: Root = _SYSTEM, json: Json = False) -> None:
         lines.append(f"{unit.title}: {', '.join(part for part in (how, start) if part)}")
     missing = parts - {unit.part for unit in units}
     for part in (part for part in _UNITS if part in missing):
-        what = "no rig is served" if part == "rig" else f"no {part} runs"
-        lines.append(f"{what}: systemctl enable --now {_UNITS[part]}")
+        problem = "no rig is served" if part == "rig" else f"no {part} runs"
+        lines.append(f"{problem}: systemctl enable --now {_UNITS[part]}")
     facts = {"files": states, "rigs": [unit for unit in units if unit.rig]}
     print_result(facts | {u.part: u for u in units if not u.rig}, *lines, json=json)
 
 
-def _carry_out(plan: Plan, root: Path, *, dry_run: bool, yes: bool) -> bool:
+def _carry_out(plan: InstallationPlan, root: Path, *, dry_run: bool, yes: bool) -> bool:
     """Show a plan, and carry it out if the user agrees; return True if it was carried out."""
     say("\n".join(plan.lines()))
     if dry_run:
@@ -386,7 +388,7 @@ def _carry_out(plan: Plan, root: Path, *, dry_run: bool, yes: bool) -> bool:
     return True
 
 
-pki = Commands("Make certificates for rigs and for people on a network.", no_args_is_help=True)
+pki = CommandGroup("Make certificates for rigs and for people on a network.", no_args_is_help=True)
 _PKI = Path("pki")
 _USES = {
     "rig": "set it as [access] certificate",
@@ -405,7 +407,7 @@ class _Issuing:
 
     directory: Directory = _PKI
     days: Days = 365
-    force: bool = chosen(False, "Replace an existing file.")
+    force: bool = preset(False, "Replace an existing file.")
     json: Json = False
 
 
@@ -416,7 +418,7 @@ Issuing = Annotated[_Issuing, group(_Issuing)]
 def ca(
     directory: Directory = _PKI,
     days: Days = 3650,
-    force: bool = chosen(
+    force: bool = preset(
         False, "Replace an existing authority; all its certificates become invalid."
     ),
     json: Json = False,
@@ -438,7 +440,7 @@ def ca(
 def rig(
     *,
     name: Annotated[str, argument("ID", "Id of the rig.")],
-    host: list[str] | None = chosen(
+    host: list[str] | None = preset(
         None,
         "Host name or address that clients use; repeatable.",
         "none, clients connect through a router",
@@ -530,12 +532,15 @@ def revoke(
 @pki.add("pki list", "list")
 def list_issued(directory: Directory = _PKI, json: Json = False) -> None:
     """List the certificates with name, purpose and expiry date."""
-    from armrig.lab.pki import issued
+    from armrig.lab.pki import list_certificates
 
-    found = issued(directory)
-    lines = [f"{one.name:40} {one.role:10} until {one.expires:%Y-%m-%d}" for one in found]
+    certificates = list_certificates(directory)
+    lines = [
+        f"{certificate.name:40} {certificate.role:10} until {certificate.expires:%Y-%m-%d}"
+        for certificate in certificates
+    ]
     lines = lines or [f"{directory}: no certificates yet"]
-    print_result([one._asdict() for one in found], *lines, json=json)
+    print_result([certificate._asdict() for certificate in certificates], *lines, json=json)
 
 
 def _say_issued(issued: Issued, *, json: bool) -> None:
@@ -549,11 +554,11 @@ def _say_issued(issued: Issued, *, json: bool) -> None:
 
 
 def router(
-    listen: str = chosen("tls/0.0.0.0:7447", "Endpoint for rigs and clients.", metavar="ENDPOINT"),
-    certificate: Path = chosen(
+    listen: str = preset("tls/0.0.0.0:7447", "Endpoint for rigs and clients.", metavar="ENDPOINT"),
+    certificate: Path = preset(
         Path("router.pem"), "Certificate file of the router, from `armrig pki router`."
     ),
-    names: Path = chosen(Path("access.toml"), "Access list, from `armrig pki`."),
+    names: Path = preset(Path("access.toml"), "Access list, from `armrig pki`."),
 ) -> None:
     """Run the router of a lab, until Ctrl-C. Clients reach the rigs through it.
 

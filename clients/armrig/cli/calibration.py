@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import platformdirs
 import typer
 from armrig_core.errors import FileError, InputError
-from armrig_core.process.options import chosen, group
+from armrig_core.process.options import group, preset
 from armrig_core.rig.calibration import ALPHA
 from armrig_core.rig.calibration_file import raw_path
 from armrig_core.rig.channels import check_points
 
 import armrig
-from armrig.cli.next_step import naming, say_next, say_to_copy
+from armrig.cli.next_step import option_for_rig, say_next, say_to_copy
 from armrig.cli.options import Connect, Json, RigId, SamplingTime
 from armrig.cli.printing import fields_of, inform, print_json, print_table, question, tell
 from armrig.cli.recorded_data import recording_path
@@ -33,7 +33,7 @@ from armrig.numerics.quantities import with_std
 if TYPE_CHECKING:
     from armrig_core.rig.calibration import Calibration
 
-    from armrig.physics.calibration import Estimate
+    from armrig.physics.calibration import CalibrationEstimate
 
 _OWNER = "armrig calibrate"
 _DEAD_MAN_S = 1.0
@@ -65,8 +65,8 @@ class Dialogue:
 
         readings: list[tuple[int, float]] = []
         for u in levels:
-            if shown := _prompt(f"Reading of the meter at {u:g} V, in V (Enter: none)"):
-                readings.append(meter_reading(f"{code_of(u)}={shown}"))
+            if reading := _prompt(f"Reading of the meter at {u:g} V, in V (Enter: none)"):
+                readings.append(meter_reading(f"{code_of(u)}={reading}"))
         return readings
 
 
@@ -86,7 +86,7 @@ class Player:
         """Record the rig at 0 V."""
         import numpy as np
 
-        return self._played(experiment, seconds, make=lambda N, _: np.zeros(N), details={})
+        return self._record(experiment, seconds, make=lambda N, _: np.zeros(N), details={})
 
     def turns(self, levels: Sequence[float], level_seconds: float) -> armrig.Recording:
         """Record the rig while it turns at the given voltages, one after another."""
@@ -99,9 +99,9 @@ class Player:
 
         seconds = _START_S + level_seconds * len(levels)
         details = {"levels": list(levels), "level_seconds": level_seconds}
-        return self._played("calibrate-turns", seconds, make=make, details=details)
+        return self._record("calibrate-turns", seconds, make=make, details=details)
 
-    def _played(self, experiment: str, seconds: float, **of_input: Any) -> armrig.Recording:
+    def _record(self, experiment: str, seconds: float, **of_input: Any) -> armrig.Recording:
         from armrig.rig.collection import Plan, collect
 
         of_run: dict[str, Any] = {"owner": _OWNER, "pacing": "scheduled", "dead_man": _DEAD_MAN_S}
@@ -147,13 +147,13 @@ def _take_into_use(
     path: Path, *, wanted: bool | None, asks: bool, rig: str, connect: str | None
 ) -> bool:
     """Load a calibration into the running daemon if the user wants it; return True if in use."""
-    from armrig.cli.rig import opened_rig
+    from armrig.cli.rig import open_rig
     from armrig.rig.replies import RefusedError
     from armrig.rig.session import NoReplyError
 
     named, is_used = "", False
     try:
-        with opened_rig(rig, connect) as opened:
+        with open_rig(rig, connect) as opened:
             named = opened.status().calibration_file
             is_used = _is_wanted(wanted, asks=asks)
             if is_used:
@@ -208,33 +208,33 @@ _DEFAULT_LEVELS_V = (1.0, 2.0, 3.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Wanted:
+class _MeasurementPlan:
     """Measurements to make, and earlier measurements."""
 
-    volts: list[float] | None = chosen(None, "Voltage to apply, in V; repeatable.", "1, 2 and 3")
-    level_seconds: float = chosen(12.0, "Time for which each voltage is held, in s.")
-    rest_seconds: float = chosen(
+    volts: list[float] | None = preset(None, "Voltage to apply, in V; repeatable.", "1, 2 and 3")
+    level_seconds: float = preset(12.0, "Time for which each voltage is held, in s.")
+    rest_seconds: float = preset(
         3.0, "Length of the recordings at rest and with the arm deflected, in s."
     )
-    meter: list[str] | None = chosen(
+    meter: list[str] | None = preset(
         None,
         "Voltmeter's reading at the motor for a PWM code, 1 to 65535; repeatable.",
         metavar="CODE=VOLTS",
     )
-    point: list[str] | None = chosen(
+    point: list[str] | None = preset(
         None,
         "Known value of an output that does not turn, in its unit; give two values of one output, "
         "or more if it is not linear.",
         metavar="NAME=VALUE",
     )
-    meter_std: float = chosen(0.01, "Standard deviation of a meter's reading, in V.")
-    by_hand: bool = chosen(
+    meter_std: float = preset(0.01, "Standard deviation of a meter's reading, in V.")
+    by_hand: bool = preset(
         False, "Leave the motor off; deflect the arm by hand to find the sign of its angle."
     )
-    rest_file: Path | None = chosen(
+    rest_file: Path | None = preset(
         None, "Earlier recording of the rig at rest.", names="--rest F", parser=recording_path
     )
-    turns_file: Path | None = chosen(
+    turns_file: Path | None = preset(
         None, "Earlier recording of the slow turns.", names="--turns F", parser=recording_path
     )
 
@@ -256,20 +256,20 @@ class _Wanted:
 def calibrate(
     *,
     plot: Plot = None,
-    save: Path | None = chosen(
+    save: Path | None = preset(
         None,
         "Calibration file to write.",
         "calibration-<rig>.toml in ~/.config/armrig",
         metavar="TOML",
     ),
-    wanted: Annotated[_Wanted, group(_Wanted)],
+    wanted: Annotated[_MeasurementPlan, group(_MeasurementPlan)],
     Ts: SamplingTime = None,
-    yes: bool = chosen(
+    yes: bool = preset(
         False,
         "Ask no question, not even for meter readings. The daemon uses the calibration unless "
         "--no-use is given.",
     ),
-    use: bool | None = chosen(
+    use: bool | None = preset(
         None,
         "Use the calibration in the running daemon until the daemon ends.",
         "the command asks",
@@ -291,46 +291,46 @@ def calibrate(
     if wanted.point:
         _measure_points(wanted, Dialogue(yes=yes), rig, connect, json=json)
         return
-    path = _checked(save or _default(rig))
+    path = _writable_path(save or _default(rig))
     _check_figure(plot, wanted)
     check_turns(wanted.levels, wanted.level_seconds)
     _check_terminal(wanted, yes=yes)
     play = Player(Ts=Ts, rig=rig, connect=connect)
-    recordings, readings = _measured(wanted, Dialogue(yes=yes), play)
-    rest, turns = recordings["rest"], recordings.get("turns")
+    recordings, readings = _measure(wanted, Dialogue(yes=yes), play)
+    rest_recording, turns = recordings["rest"], recordings.get("turns")
     # The calibration of the recording at rest supplies the values that are not measured.
-    base = rest.calibration or Calibration()
-    found = estimate(
-        rest,
+    base = rest_recording.calibration or Calibration()
+    estimates = estimate(
+        rest_recording,
         turns,
         deflected=recordings.get("deflected"),
-        meter=[(_applied(code, rest), shown) for code, shown in readings],
+        meter=[(_device_volts(code, rest_recording), reading) for code, reading in readings],
         meter_std_v=wanted.meter_std,
         base=base,
     )
-    _write(path, found, base, recordings)
+    _write(path, estimates, base, recordings)
     if turns is not None:
-        write_plot(plot, calibration=partial(found.plot, turns), height=6.0)
-    for warning in found.warnings:
+        write_plot(plot, calibration=partial(estimates.plot, turns), height=6.0)
+    for warning in estimates.warnings:
         tell(warning)
-    figures = found.figures()
+    figures = estimates.figures()
     if not json:
         sign = {1: "grows with the counts", -1: "falls with the counts", 0: "not seen"}
         rows = ((name, with_std(figure.value, figure.std)) for name, figure in figures.items())
-        print_table(*rows, (ALPHA, sign[found.alpha_sign]), ("calibration", str(path)))
+        print_table(*rows, (ALPHA, sign[estimates.alpha_sign]), ("calibration", str(path)))
     used = _take_into_use(path, wanted=use, asks=not yes, rig=rig, connect=connect)
     if json:
         facts = {"calibration": path, "figures": figures}
-        print_json(facts | fields_of(found, "alpha_sign warnings") | {"in_use": used})
+        print_json(facts | fields_of(estimates, "alpha_sign warnings") | {"in_use": used})
     else:
         # No earlier recording has the new calibration.
         made = hashlib.sha256(path.read_bytes()).hexdigest()
-        origin = Origin.of_run(rest.path, rest.manifest).calibrated(made)
-        say_next("collect step", origin, rig=naming(rig, connect))
+        origin = Origin.of_run(rest_recording.path, rest_recording.manifest).with_calibration(made)
+        say_next("collect step", origin, rig=option_for_rig(rig, connect))
 
 
 def _measure_points(
-    wanted: _Wanted, ask: Dialogue, rig: str, connect: str | None, *, json: bool
+    wanted: _MeasurementPlan, ask: Dialogue, rig: str, connect: str | None, *, json: bool
 ) -> None:
     """Measure the readings at values of an output; print the lines for the description."""
     points = [point.partition("=") for point in wanted.point or []]
@@ -356,14 +356,16 @@ def _measure_points(
             some = islice((s for s in opened.stream() if not isinstance(s, armrig.LiveGap)), n)
             counts.append(sum((s.counts_0, s.counts_1)[channel] for s in some) / n)
     try:
-        found = conversion_through(sorted(zip(counts, values, strict=True)))
+        conversion = conversion_through(sorted(zip(counts, values, strict=True)))
     except InputError as err:
         raise InputError(f"--point {name}: {err}") from err
     if json:
-        print_json({"output": name} | found)
+        print_json({"output": name} | conversion)
         return
     inform("put these lines into the description of the rig:")
-    lines = (f"{key} = {x if key == 'points' else format(x, '.6g')}" for key, x in found.items())
+    lines = (
+        f"{key} = {x if key == 'points' else format(x, '.6g')}" for key, x in conversion.items()
+    )
     say_to_copy("\n".join([f"[outputs.{name}]", *lines]))
 
 
@@ -373,9 +375,9 @@ def conversion_through(points: Sequence[tuple[float, float]]) -> dict[str, Any]:
     Raises InputError if the readings are too close, or are no function with an inverse.
     """
     if any(b[0] - a[0] < _MIN_COUNTS or a[1] == b[1] for a, b in pairwise(points)):
-        came = " and ".join(f"{counts:.0f}" for counts, _ in points)
+        readings = " and ".join(f"{counts:.0f}" for counts, _ in points)
         raise InputError(
-            f"the readings are {came} counts; give values that are further apart, and "
+            f"the readings are {readings} counts; give values that are further apart, and "
             "check the "
             "wires"
         )
@@ -387,13 +389,13 @@ def conversion_through(points: Sequence[tuple[float, float]]) -> dict[str, Any]:
     return {"zero_counts": left - low / per_count, "per_count": per_count}
 
 
-def _measured(
-    wanted: _Wanted, ask: Dialogue, play: Player
+def _measure(
+    wanted: _MeasurementPlan, ask: Dialogue, play: Player
 ) -> tuple[dict[str, armrig.Recording], list[tuple[int, float]]]:
     """Return the recordings by name, and the voltmeter's readings; make those without a file."""
     files = {"rest": wanted.rest_file, "turns": wanted.turns_file}
-    found = {name: armrig.load(path) for name, path in files.items() if path is not None}
-    for recording in found.values():
+    recordings = {name: armrig.load(path) for name, path in files.items() if path is not None}
+    for recording in recordings.values():
         if not recording.description.arm:
             name = recording.first
             raise InputError(
@@ -401,26 +403,26 @@ def _measured(
                 f"--turns are for the arm: use `armrig calibrate --point {name}=A --point {name}=B`"
             )
     readings, seconds = wanted.readings, wanted.level_seconds
-    if "rest" not in found:
+    if "rest" not in recordings:
         ask.ready("Turn the chassis to its mark for theta_1 = 0 and let the arm hang still.")
-        found["rest"] = play.rest("calibrate-rest", wanted.rest_seconds)
+        recordings["rest"] = play.rest("calibrate-rest", wanted.rest_seconds)
     if wanted.by_hand:
         ask.ready(
             "Deflect the arm in the direction in which a voltage turns the chassis, and hold it "
             f"for {wanted.rest_seconds:g} s."
         )
-        found["deflected"] = play.rest("calibrate-hand", wanted.rest_seconds)
-    elif "turns" not in found:
+        recordings["deflected"] = play.rest("calibrate-hand", wanted.rest_seconds)
+    elif "turns" not in recordings:
         text = ", ".join(f"{v:g} V" for v in wanted.levels)
         with_meter = not readings and ask.has_meter()
         ask.ready(f"The chassis will turn at {text}, {seconds:g} s each: keep your hands away.")
-        found["turns"] = play.turns(wanted.levels, seconds)
+        recordings["turns"] = play.turns(wanted.levels, seconds)
         if with_meter:
             readings = ask.meter(wanted.levels)
-    return found, readings
+    return recordings, readings
 
 
-def _check_figure(plot: Path | None, wanted: _Wanted) -> None:
+def _check_figure(plot: Path | None, wanted: _MeasurementPlan) -> None:
     """Refuse, before the measurements, a figure that cannot be written or would be empty."""
     if plot is not None and plot.suffix == ".toml":
         raise InputError(f"-o {plot}: -o writes a figure; --save {plot} writes the calibration")
@@ -436,7 +438,7 @@ def _default(rig: str) -> Path:
     return Path(platformdirs.user_config_dir("armrig")) / f"calibration-{rig}.toml"
 
 
-def _checked(path: Path) -> Path:
+def _writable_path(path: Path) -> Path:
     """Refuse, before the measurements, a file that cannot or must not be written."""
     from armrig_core.rig.calibration_file import LostSamplesError, read_calibration
 
@@ -457,7 +459,7 @@ def _checked(path: Path) -> Path:
     return path
 
 
-def _check_terminal(wanted: _Wanted, *, yes: bool) -> None:
+def _check_terminal(wanted: _MeasurementPlan, *, yes: bool) -> None:
     """Refuse to begin if there are questions but no terminal."""
     asks = wanted.by_hand or wanted.rest_file is None or wanted.turns_file is None
     if asks and not yes and not sys.stdin.isatty():
@@ -466,22 +468,25 @@ def _check_terminal(wanted: _Wanted, *, yes: bool) -> None:
         )
 
 
-def _applied(code: int, rest: armrig.Recording) -> float:
+def _device_volts(code: int, recording: armrig.Recording) -> float:
     """Return the voltage, in V, that the device applies for a code, rounded to the PWM's steps."""
-    from armrig_core.rig.volts import applied_code, volts_of
+    from armrig_core.rig.volts import device_code, volts_of
 
-    bits = rest.manifest.device.get("pwm_bits")
-    return volts_of(applied_code(code, bits) if isinstance(bits, int) and bits > 0 else code)
+    bits = recording.manifest.device.get("pwm_bits")
+    return volts_of(device_code(code, bits) if isinstance(bits, int) and bits > 0 else code)
 
 
 def _write(
-    path: Path, found: Estimate, base: Calibration, recordings: Mapping[str, armrig.Recording]
+    path: Path,
+    estimate: CalibrationEstimate,
+    base: Calibration,
+    recordings: Mapping[str, armrig.Recording],
 ) -> None:
     """Write the calibration and its samples; each file is written completely or not at all."""
     from armrig_core.rig.calibration import Made
     from armrig_core.rig.calibration_file import toml_of
 
-    from armrig.physics.calibration_readings import compressed
+    from armrig.physics.calibration_readings import compress_readings
 
     first = recordings["rest"].manifest
     uids = {str(r.manifest.device.get("uid", "")) for r in recordings.values()}
@@ -489,7 +494,7 @@ def _write(
         raise InputError(
             f"the recordings come from several devices or rigs: {', '.join(sorted(uids))}"
         )
-    raw = compressed(recordings)
+    raw = compress_readings(recordings)
     made = Made(
         date=first.started,
         rig=first.rig,
@@ -498,9 +503,9 @@ def _write(
         recordings={name: r.sha256 for name, r in recordings.items()},
         raw_sha256=hashlib.sha256(raw).hexdigest(),
     )
-    text = toml_of(found.calibration(base, made))
+    text = toml_of(estimate.calibration(base, made))
     path.parent.mkdir(parents=True, exist_ok=True)
     for target, data in ((raw_path(path), raw), (path, text.encode())):
-        whole = target.with_name(f".{target.name}.new")
-        whole.write_bytes(data)
-        whole.replace(target)
+        new_file = target.with_name(f".{target.name}.new")
+        new_file.write_bytes(data)
+        new_file.replace(target)

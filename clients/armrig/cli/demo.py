@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import typer
 from armrig_core.errors import InputError, OperationError
-from armrig_core.process.options import chosen
+from armrig_core.process.options import preset
 
 import armrig
 from armrig.cli.demo_files import demo_files
@@ -23,7 +23,7 @@ from armrig.cli.printing import columns, fields_of, inform, print_result, spinne
 from armrig.numerics.quantities import plural
 
 if TYPE_CHECKING:
-    from armrig.excitation.demonstration import Experiment
+    from armrig.excitation.demonstration import DemonstrationRun
     from armrig.report.study import Study
 
 RIG = "demo"
@@ -81,23 +81,23 @@ def write_config(directory: Path, seed: int, Ts: float, rig_file: Path | None = 
 
 
 def demo(
-    directory: Path = chosen(Path("demo"), "Folder for all files."),
-    seconds: float | None = chosen(
+    directory: Path = preset(Path("demo"), "Folder for all files."),
+    seconds: float | None = preset(
         None,
         "Length of each telegraph signal, in s.",
         "30, with --rig-file a length that suits its model",
         min=5,
     ),
-    seed: int = chosen(1, "Seed of the inputs and of the rig's noise.", min=0, max=2**63 - 2),
-    virtual: bool = chosen(
+    seed: int = preset(1, "Seed of the inputs and of the rig's noise.", min=0, max=2**63 - 2),
+    virtual: bool = preset(
         False, "Run in virtual time, without waiting; the same seed gives the same bytes."
     ),
-    firmware: bool = chosen(
+    firmware: bool = preset(
         False,
         "Run the Uno's firmware in simavr, in virtual time; `make fil` in a checkout "
         "builds the necessary program, which no wheel contains.",
     ),
-    rig_file: Path | None = chosen(
+    rig_file: Path | None = preset(
         None,
         "Description of the rig: a file, or a name of `armrig rigs`.",
         "the arm",
@@ -115,7 +115,7 @@ def demo(
 
     With --json the last line contains the paths of all files and the fit of each model.
     """
-    from armrig_core.rig.description import path_of, read_description, shipped
+    from armrig_core.rig.description import builtin, path_of, read_description
 
     from armrig.excitation.demonstration import experiments
     from armrig.excitation.pace import pace_of
@@ -123,7 +123,7 @@ def demo(
     most = _MAX_S if rig_file is None else _MAX_DESCRIBED_S
     if seconds is not None and seconds > most:
         raise typer.BadParameter(f"--seconds {seconds:g}: 5 to {most:g} s")
-    described = read_description(path_of(rig_file)) if rig_file else shipped("arm")
+    described = read_description(path_of(rig_file)) if rig_file else builtin("arm")
     pace = pace_of(described, seconds)
     plan = experiments(pace, seed)
     paths: list[Path] = []
@@ -138,14 +138,16 @@ def demo(
             with spinner("recording in virtual time"):
                 # Each experiment of another rig than the arm begins at rest.
                 left, folder = plan[n_real:], directory.absolute()
-                of_each = [left] if described.arm else [[one] for one in left]
-                for i, of in enumerate(of_each):
-                    more = record_in_virtual_time(of, folder, config, seed + i, firmware=firmware)
+                batches = [left] if described.arm else [[trial] for trial in left]
+                for i, batch in enumerate(batches):
+                    more = record_in_virtual_time(
+                        batch, folder, config, seed + i, firmware=firmware
+                    )
                     paths += more
         emulated = _EMULATED if described.arm else _AS_DESCRIBED
         remarks = _remarks(len(paths), n_real, why, emulated) + ([_FIRMWARE] if firmware else [])
         with spinner("identifying and typesetting"):
-            done, pdf = _reported(paths, remarks, directory)
+            done, pdf = _write_report(paths, remarks, directory)
     if not virtual:
         inform(f"the daemon's log: {directory / 'armrigd.log'}")
     names = [experiment.name for experiment in plan]
@@ -162,7 +164,7 @@ def demo(
         say_next("open", file=quote(str(_from_here(pdf.absolute()))))
 
 
-def _record(plan: Sequence[Experiment], config: Path, done: list[Path]) -> str:
+def _record(plan: Sequence[DemonstrationRun], config: Path, done: list[Path]) -> str:
     """Append real-time recordings to `done`; return why some are missing, or "" if none is."""
     if sys.platform != "linux":
         return "emulation in real time needs Linux"
@@ -181,7 +183,7 @@ def _load_drawing_modules() -> None:
     from armrig.report import document  # noqa: F401
 
 
-def _reported(paths: list[Path], remarks: list[str], directory: Path) -> tuple[Study, Path]:
+def _write_report(paths: list[Path], remarks: list[str], directory: Path) -> tuple[Study, Path]:
     """Return the study of the recordings, and the path of its report with these remarks."""
     from armrig.report.document import report
     from armrig.report.study import study
@@ -203,13 +205,13 @@ def _remarks(n: int, n_real: int, why: str, emulated: str = _EMULATED) -> list[s
 
 def _text(done: Study, names: list[str], directory: Path, pdf: Path) -> str:
     """Return the errors of the models on the validation recording, and the names of the files."""
-    of = ("fit of the angle", "fit of the velocity") if done.of_arm else ("fit",)
-    models = [("model", "rms error", *of)]
+    headings = ("fit of the angle", "fit of the velocity") if done.of_arm else ("fit",)
+    models = [("model", "rms error", *headings)]
     for row in done.models:
-        fits = (row.fit_percent, row.velocity_fit_percent)[: len(of)]
+        fits = (row.fit_percent, row.velocity_fit_percent)[: len(headings)]
         error = f"{row.rms_error:.4g} {done.validation.unit}"
-        shown = ("" if fit is None else f"{fit:.2f} %" for fit in fits)
-        models.append((row.name, error, *shown))
+        fit_texts = ("" if fit is None else f"{fit:.2f} %" for fit in fits)
+        models.append((row.name, error, *fit_texts))
     files = []
     for recording, name in zip(done.recordings, names, strict=True):
         missing = f", {recording.missing} missing" if recording.missing else ""
@@ -228,7 +230,12 @@ def _from_here(path: Path) -> Path:
 
 
 def record_in_virtual_time(
-    plan: Sequence[Experiment], directory: Path, config: Path, seed: int, *, firmware: bool = False
+    plan: Sequence[DemonstrationRun],
+    directory: Path,
+    config: Path,
+    seed: int,
+    *,
+    firmware: bool = False,
 ) -> list[Path]:
     """Play experiments on an emulated rig in virtual time; return their recordings.
 
@@ -240,7 +247,7 @@ def record_in_virtual_time(
     program = [sys.executable, "-X", "utf8", "-m", "armrig_daemon", "virtual"]
     program += ["--config", str(config), "--directory", str(directory), "--seed", str(seed)]
     program += ["--firmware"] if firmware else []
-    requests = (dumps(one.of_the_device()) for one in plan)
+    requests = (dumps(experiment.of_the_device()) for experiment in plan)
     Thread(target=_load_drawing_modules).start()
     played = subprocess.run(program, input="\n".join(requests).encode(), capture_output=True)
     if played.returncode:

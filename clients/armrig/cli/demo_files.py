@@ -33,7 +33,7 @@ def demo_files(directory: Path) -> Iterator[None]:
     """
     if directory.exists() and not directory.is_dir():
         raise InputError(f"--directory {directory}: is a file; give a directory, which may be new")
-    listed, earlier = _listed(directory / LIST), _present(directory)
+    listed, earlier = _read_list(directory / LIST), _present(directory)
     for path in earlier:
         if listed.get(path.name) != _hash(path):
             raise InputError(_REFUSED.format(path=path))
@@ -55,7 +55,7 @@ def _present(directory: Path) -> list[Path]:
     return sorted(path for name in _NAMES for path in directory.glob(name))
 
 
-def _listed(path: Path) -> dict[str, str]:
+def _read_list(path: Path) -> dict[str, str]:
     """Return the hashes in a list by the files' names; refuse a file that is no list."""
     if not path.exists():
         return {}

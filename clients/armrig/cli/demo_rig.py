@@ -22,7 +22,7 @@ from armrig.rig.session import RigError
 from armrig.rig.status import scheduling_line
 
 if TYPE_CHECKING:
-    from armrig.excitation.demonstration import Experiment
+    from armrig.excitation.demonstration import DemonstrationRun
 
 MAX_ENDED_RUNS = 3
 """If stalls have ended this number of runs of an experiment, the demonstration continues in virtual
@@ -37,7 +37,7 @@ _SAFE_TIMEOUT_S = 30.0
 
 
 def record_in_real_time(
-    plan: Sequence[Experiment], rig_id: str, config: Path, done: list[Path]
+    plan: Sequence[DemonstrationRun], rig_id: str, config: Path, done: list[Path]
 ) -> None:
     """Play experiments on an emulated rig; append the recordings to `done`.
 
@@ -56,11 +56,11 @@ def record_in_real_time(
         )
         inform(scheduling_line(rig.status().host))
         for experiment in plan:
-            done.append(recorded(rig, experiment, end_s - left_s))
+            done.append(record_experiment(rig, experiment, end_s - left_s))
             left_s -= experiment.seconds
 
 
-def recorded(rig: Rig, experiment: Experiment, until_s: float) -> Path:
+def record_experiment(rig: Rig, experiment: DemonstrationRun, until_s: float) -> Path:
     """Arm and run an experiment; if a stall of the emulator ends the run, repeat the experiment.
 
     Raises RigError if stalls have ended `MAX_ENDED_RUNS` runs, or if an attempt fails after

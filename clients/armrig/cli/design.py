@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import typer
-from armrig_core.process.options import Commands, argument, chosen, group, option
+from armrig_core.process.options import CommandGroup, argument, group, option, preset
 
 from armrig.cli import recorded_data
 from armrig.cli.printing import columns, fields_of, inform, say, say_answer, spinner
-from armrig.cli.results import Output, check_output, check_plot, figure_path, shown
+from armrig.cli.results import OutputOptions, check_output, check_plot, figure_path, output_group
 
 if TYPE_CHECKING:
     from armrig_core.control.control_law import ControlLaw
@@ -21,58 +21,58 @@ if TYPE_CHECKING:
     from armrig.control.law_check import LawCheck
     from armrig.models.fit import Fit
 
-design = Commands("Design a control law from a model, or check a law.", no_args_is_help=True)
+design = CommandGroup("Design a control law from a model, or check a law.", no_args_is_help=True)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class DesignOptions:
     """Options of every design."""
 
-    rig_file: Path | None = chosen(
+    rig_file: Path | None = preset(
         None,
         "Description of the rig (TOML), or a name of `armrig rigs`; needed for an input that is "
         "not in V.",
         "the arm for its outputs, otherwise 0 to 5 V",
         names="--rig-file TOML",
     )
-    validate: Path | None = chosen(
+    validate: Path | None = preset(
         None,
         "Data that the model was not estimated from; without them the law is in doubt.",
         names="--validate F",
         parser=recorded_data.recording_path,
     )
-    signal: str | None = chosen(
+    signal: str | None = preset(
         None, "Output that follows r.", "the first output", names="--signal NAME"
     )
-    rate: bool | None = chosen(
+    rate: bool | None = preset(
         None,
         "The rate of an integrating output follows r, or the output itself (--no-rate).",
         "the rate of a turning output",
         names="--rate/--no-rate",
     )
-    reference: str | None = chosen(
+    reference: str | None = preset(
         None,
         "Lowest and highest r of a run, such as 23,60.",
         "what the input's range reaches",
         names="--reference LOW,HIGH",
     )
-    u0: float | None = chosen(
+    u0: float | None = preset(
         None, "Voltage of the operating point of a model of deviations, in V.", names="--u0 V"
     )
-    y0: list[float] | None = chosen(
+    y0: list[float] | None = preset(
         None, "Output at the operating point; repeat it for two outputs.", "0", names="--y0 Y"
     )
-    Ts: float | None = chosen(
+    Ts: float | None = preset(
         None,
         "Sampling time of the law for a model in s, in s.",
         "the model's",
         names="--Ts S",
     )
-    draws: int = chosen(500, "Number of draws of the model's parameters.", "500", min=0)
-    overshoot: float | None = chosen(
+    draws: int = preset(500, "Number of draws of the model's parameters.", "500", min=0)
+    overshoot: float | None = preset(
         None, "Requirement: largest overshoot of a step, in percent.", names="--overshoot PERCENT"
     )
-    settling: float | None = chosen(
+    settling: float | None = preset(
         None, "Requirement: longest 5 % settling time of a step, in s.", names="--settling S"
     )
 
@@ -97,8 +97,8 @@ class Settings:
         }
 
 
-Common = Annotated[Settings, group(Settings)]
-Shown = Annotated[Output, shown("json", "verbose")]
+Common = Annotated[DesignOptions, group(DesignOptions)]
+Shown = Annotated[OutputOptions, output_group("json", "verbose")]
 Figure = Annotated[
     Path | None,
     option(
@@ -150,22 +150,22 @@ def pid(
     *,
     model: Model,
     output: Law = Path("law.json"),
-    time_constant: float | None = chosen(
+    time_constant: float | None = preset(
         None,
         "Time constant of the closed loop, in s (lambda tuning).",
         "the largest integral gain at --ms",
     ),
-    ms: float | None = chosen(None, "Largest sensitivity Ms.", "1.6"),
-    derivative: bool | None = chosen(
+    ms: float | None = preset(None, "Largest sensitivity Ms.", "1.6"),
+    derivative: bool | None = preset(
         None,
         "A derivative part, or none (--no-derivative).",
         "with two poles or more",
         names="--derivative/--no-derivative",
     ),
-    filter_time: float | None = chosen(
+    filter_time: float | None = preset(
         None, "Time constant of the filter of y, in s.", "a tenth of that of the loop"
     ),
-    weight: float | None = chosen(
+    weight: float | None = preset(
         None, "Weight of r in the proportional part.", "1 with --time-constant, otherwise 0.5"
     ),
     common: Common,
@@ -175,9 +175,9 @@ def pid(
     """Design a PI or PID law: lambda tuning, or the largest integral gain at Ms of 1.6."""
     import armrig
 
-    own = {"time_constant": time_constant, "ms": ms, "derivative": derivative}
-    own |= {"filter_time": filter_time, "weight": weight}
-    _design(armrig.pid, model, output, own, common, replace(out, plot=plot))
+    options = {"time_constant": time_constant, "ms": ms, "derivative": derivative}
+    options |= {"filter_time": filter_time, "weight": weight}
+    _design(armrig.pid, model, output, options, common, replace(out, plot=plot))
 
 
 @design.add("design place model.json --pole=-18+18j --pole=-42 -o law.json", "place")
@@ -185,12 +185,12 @@ def place(
     *,
     model: Model,
     output: Law = Path("law.json"),
-    pole: list[str] | None = chosen(
+    pole: list[str] | None = preset(
         None,
         "Pole of the closed loop in s, in rad/s, such as --pole=-18+18j for a pair; repeatable.",
         names="--pole S",
     ),
-    observer: list[str] | None = chosen(
+    observer: list[str] | None = preset(
         None,
         "Pole of the observer in s, in rad/s; repeatable.",
         "a Kalman predictor",
@@ -206,8 +206,8 @@ def place(
     poles = _complex(pole, "--pole")
     if not poles:
         raise typer.BadParameter("give the poles of the closed loop, such as --pole=-18+18j")
-    own = {"poles": poles, "observer": _complex(observer, "--observer")}
-    _design(armrig.place, model, output, own, common, replace(out, plot=plot))
+    options = {"poles": poles, "observer": _complex(observer, "--observer")}
+    _design(armrig.place, model, output, options, common, replace(out, plot=plot))
 
 
 @design.add("design lqg model.json --effort 0.1 -o law.json", "lqg")
@@ -215,13 +215,13 @@ def lqg(
     *,
     model: Model,
     output: Law = Path("law.json"),
-    effort: float = chosen(
+    effort: float = preset(
         1.0, "Cost of 1 V² of the input against an error of 1 V; larger is slower."
     ),
-    input_noise: float | None = chosen(
+    input_noise: float | None = preset(
         None, "Deviation of the input's noise, in V.", "2 % of its range"
     ),
-    drift: float | None = chosen(
+    drift: float | None = preset(
         None,
         "Deviation of the disturbance's change in a sample, in V; larger integrates faster.",
         "0.2 % of the input's range",
@@ -233,27 +233,27 @@ def lqg(
     """Design a law of least quadratic cost, with a Kalman predictor."""
     import armrig
 
-    own = {"effort": effort, "input_noise": input_noise, "drift": drift}
-    _design(armrig.lqg, model, output, own, common, replace(out, plot=plot))
+    options = {"effort": effort, "input_noise": input_noise, "drift": drift}
+    _design(armrig.lqg, model, output, options, common, replace(out, plot=plot))
 
 
 @design.add("design check law.json --model model.json", "check")
 def check(
     *,
     law: Annotated[Path, argument("LAW", "Law file.")],
-    model: Path | None = chosen(
+    model: Path | None = preset(
         None, "Model to judge the law on.", "that of the law's design", names="--model JSON"
     ),
-    rig_file: Path | None = chosen(
+    rig_file: Path | None = preset(
         None, "Description of the rig.", "that of the law's design", names="--rig-file TOML"
     ),
-    validate: Path | None = chosen(
+    validate: Path | None = preset(
         None,
         "Data that the model was not estimated from.",
         names="--validate F",
         parser=recorded_data.recording_path,
     ),
-    draws: int = chosen(500, "Number of draws of the model's parameters.", "500", min=0),
+    draws: int = preset(500, "Number of draws of the model's parameters.", "500", min=0),
     plot: Figure = None,
     out: Shown,
 ) -> None:
@@ -262,26 +262,26 @@ def check(
     from armrig.control.loop_comparison import model_path
 
     check_plot(plot, [law])
-    found = armrig.load_law(law)
-    files = found.design.get("files")
+    control_law = armrig.load_law(law)
+    files = control_law.design.get("files")
     named = files.get("rig") if isinstance(files, dict) else None
-    path = model or Path(model_path(found))
+    path = model or Path(model_path(control_law))
     rig = rig_file or (Path(str(named)) if named else None)
     fit = armrig.load_fit(path)
     judged = armrig.check_law(
-        found, fit, draws=draws, rig=_rig(rig), validation=_data(validate, fit)
+        control_law, fit, draws=draws, rig=_rig(rig), validation=_data(validate, fit)
     )
-    _show(judged, found, replace(out, plot=plot))
+    _show(judged, control_law, replace(out, plot=plot))
 
 
 @design.add("design compare @run --plot loop.png", "compare")
 def compare(
     *,
     file: recorded_data.File,
-    model: Path | None = chosen(
+    model: Path | None = preset(
         None, "Model file.", "the model that the law names", names="--model MODEL"
     ),
-    draws: int = chosen(30, "Number of draws of the model's parameters.", "30", min=0),
+    draws: int = preset(30, "Number of draws of the model's parameters.", "30", min=0),
     plot: Figure = None,
     out: Shown,
 ) -> None:
@@ -298,11 +298,13 @@ def compare(
     if path:
         inform(f"the model is {path}", dim=True)
     with spinner("predicting"):
-        found = armrig.compare_loop(recording, armrig.load_fit(path) if path else None, draws=draws)
+        comparison = armrig.compare_loop(
+            recording, armrig.load_fit(path) if path else None, draws=draws
+        )
     replace(out, plot=plot).show(
-        facts=found.facts,
-        say=lambda: say_answer(found.verdict),
-        figures=lambda: {"loop": lambda *, ax: plots.plot_loop_comparison(found, ax=ax)},
+        facts=comparison.facts,
+        say=lambda: say_answer(comparison.verdict),
+        figures=lambda: {"loop": lambda *, ax: plots.plot_loop_comparison(comparison, ax=ax)},
     )
 
 
@@ -315,7 +317,12 @@ def _data(path: Path | None, fit: Fit) -> Any:
 
 
 def _design(
-    of: Any, model: Path, output: Path, own: dict[str, Any], common: Settings, out: Output
+    method: Any,
+    model: Path,
+    output: Path,
+    options: dict[str, Any],
+    common: DesignOptions,
+    out: OutputOptions,
 ) -> None:
     """Design a law, write its file, and print what it will do."""
     import armrig
@@ -328,7 +335,7 @@ def _design(
     files = {"model": str(model)} | ({"rig": str(common.rig_file)} if common.rig_file else {})
     facts = {"files": files} | ({"requirement": requirement} if requirement else {})
     with spinner("designing"):
-        law: ControlLaw = of(fit, **own, **common.of_design(), validation=data)
+        law: ControlLaw = method(fit, **options, **common.of_design(), validation=data)
         law = msgspec.structs.replace(law, design=law.design | facts)
         judged = armrig.check_law(
             law, fit, draws=common.draws, validation=data, **common.of_model()
@@ -336,20 +343,22 @@ def _design(
     _show(judged, law, out, output)
 
 
-def _show(judged: LawCheck, law: ControlLaw, out: Output, output: Path | None = None) -> None:
+def _show(
+    judged: LawCheck, law: ControlLaw, out: OutputOptions, output: Path | None = None
+) -> None:
     from armrig import plots
 
     def facts() -> dict[str, Any]:
         bands = ("Ms", "gain", "phase_deg", "delay_s", "overshoot", "settling")
         names = "stable Ms gain least_gain phase_deg delay_s"
-        found: dict[str, Any] = {"law": str(output)} if output else {}
-        found |= {"verdict": judged.verdict, "worst_Ms": judged.worst_Ms}
-        found |= {"has_monitor": law.monitor is not None}
-        found |= {"unstable_share": judged.unstable_share, "doubts": judged.doubts}
-        found |= {"nominal": fields_of(judged.nominal, names)}
-        found |= {"bands": {name: judged.band(name) for name in bands}}
+        fields: dict[str, Any] = {"law": str(output)} if output else {}
+        fields |= {"verdict": judged.verdict, "worst_Ms": judged.worst_Ms}
+        fields |= {"has_monitor": law.monitor is not None}
+        fields |= {"unstable_share": judged.unstable_share, "doubts": judged.doubts}
+        fields |= {"nominal": fields_of(judged.nominal, names)}
+        fields |= {"bands": {name: judged.band(name) for name in bands}}
         corners = {name: fields_of(m, names) for name, m in judged.corners.items()}
-        return found | {"corners": corners, "sha256": law.sha256, "design": law.design}
+        return fields | {"corners": corners, "sha256": law.sha256, "design": law.design}
 
     def say_check() -> None:
         from armrig.numerics.quantities import plural

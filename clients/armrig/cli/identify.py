@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import FileError
-from armrig_core.process.options import Commands, argument, chosen, group, option
+from armrig_core.process.options import CommandGroup, argument, group, option, preset
 from armrig_core.telemetry.channels import INTEGRATING_OUTPUTS
 from msgspec import UNSET, structs
 from msgspec.structs import asdict
@@ -20,7 +20,13 @@ from msgspec.structs import asdict
 import armrig
 from armrig import plots
 from armrig.cli import model_structures, results
-from armrig.cli.next_step import after_identify, counterpart, say_next, step_again, typed
+from armrig.cli.next_step import (
+    after_identify,
+    command_line_name,
+    counterpart,
+    say_next,
+    step_again,
+)
 from armrig.cli.options import Detrend, Json, ModelFile, ModelOrders
 from armrig.cli.printing import (
     estimating,
@@ -50,7 +56,7 @@ from armrig.cli.recorded_data import (
 )
 from armrig.estimation.request import Request
 from armrig.models.structure_table import STRUCTURES, users
-from armrig.numerics.quantities import listed, plural
+from armrig.numerics.quantities import join_names, plural
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
@@ -74,13 +80,13 @@ _NK = "1, with --search estimated for one input and one output"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Search:
+class _SearchRange:
     """Range of a search."""
 
-    search: bool = chosen(
+    search: bool = preset(
         False, "Search several structures, or the given structure, with several orders."
     )
-    most: int | None = chosen(
+    most: int | None = preset(
         None,
         "Highest order that --search tries.",
         "5, and up to 8 if needed",
@@ -88,8 +94,8 @@ class _Search:
         min=1,
         max=100,
     )
-    jobs: int = chosen(1, "Number of processes that --search uses.", min=1)
-    open_loop: bool = chosen(
+    jobs: int = preset(1, "Number of processes that --search uses.", min=1)
+    open_loop: bool = preset(
         False,
         "The input was not computed from the output, so that --search may try nk = 0.",
         "only for an input that armrig played, or that is held",
@@ -97,9 +103,9 @@ class _Search:
     fixed: model_structures.Given = field(default_factory=dict)
     """Fixed arguments of the search; the search chooses all other arguments."""
 
-    def typed(self, given: model_structures.Given) -> str:
+    def typed(self, values: model_structures.Given) -> str:
         """Return the options of the search, as typed."""
-        named = [*model_structures.typed_options(given), "--search"]
+        named = [*model_structures.option_texts(values), "--search"]
         named += [] if self.most is None else [f"--max-order {self.most}"]
         return " ".join([*named, *["--open-loop"] * self.open_loop])
 
@@ -137,7 +143,7 @@ def sampling(
         elif from_recording(data):
             say_next("collect pair", signals.origin, **_experiment(choice))
         else:
-            say_next("hints", file=typed(file), given=signals.options())
+            say_next("hints", file=command_line_name(file), given=signals.options())
 
     out.show(
         facts=lambda: source_facts(data) | _sampling_facts(choice) | _step_facts(steps),
@@ -166,21 +172,23 @@ def _experiment(choice: SamplingTime) -> dict[str, str | float]:
 
 def _sampling_facts(choice: SamplingTime) -> dict[str, Any]:
     method = "step" if choice.from_step else "impulse response"
-    of = "tau omega_step omega_first omega_spectrum settling settling_std Ts_step Ts_spectrum "
-    of += "Ts_transient near_nyquist beyond notes"
-    return fields_of(choice, "Ts recorded_at output") | {"method": method} | fields_of(choice, of)
+    names = "tau omega_step omega_first omega_spectrum settling settling_std Ts_step Ts_spectrum "
+    names += "Ts_transient near_nyquist beyond notes"
+    return (
+        fields_of(choice, "Ts recorded_at output") | {"method": method} | fields_of(choice, names)
+    )
 
 
 def _step_facts(steps: StepAnalysis | None) -> dict[str, Any]:
-    of = "gain gain_std tau tau_std equivalent_time equivalent_time_std settling settling_std "
-    of += "overshoot overshoot_std dead_time dead_time_interval"
-    return {} if steps is None else {"step": fields_of(steps, of)}
+    names = "gain gain_std tau tau_std equivalent_time equivalent_time_std settling settling_std "
+    names += "overshoot overshoot_std dead_time dead_time_interval"
+    return {} if steps is None else {"step": fields_of(steps, names)}
 
 
 def hints(
     file: DataFile,
     signals: Annotated[SignalChoice, data_group(without="hampel")],
-    out: Annotated[results.Output, results.shown("plot", "json")],
+    out: Annotated[results.OutputOptions, results.output_group("plot", "json")],
 ) -> None:
     """Suggest a model structure for the data (handout 3.2).
 
@@ -192,80 +200,85 @@ def hints(
 
     data = signals.of(file)
     with spinner("estimating without a structure"):
-        found = by_channel(partial(armrig.structure_hints, integrator=signals.integrator), data)
+        outcomes = by_channel(partial(armrig.structure_hints, integrator=signals.integrator), data)
         tests = by_channel(armrig.linearity, data)
     linear = {n: f"not known: {t}" if isinstance(t, str) else t.line for n, t in tests.items()}
-    require_result(found.values())
-    known = {name: one for name, one in found.items() if not isinstance(one, str)}
-    spectra = {"spectra": partial(data.plot, "spectrum")} if () in known else {}
+    require_result(outcomes.values())
+    channel_hints = {
+        name: outcome for name, outcome in outcomes.items() if not isinstance(outcome, str)
+    }
+    spectra = {"spectra": partial(data.plot, "spectrum")} if () in channel_hints else {}
 
     def say_hints() -> None:
-        for channel, one in found.items():
+        for channel, outcome in outcomes.items():
             say_channel(channel)
-            hint = f"not known: {one}" if isinstance(one, str) else repr(one)
+            hint = f"not known: {outcome}" if isinstance(outcome, str) else repr(outcome)
             say_answer(f"{hint}\n  linearity: {linear[channel]}")
-        if () not in found and len(known) == len(found):
-            of_set = {(output, input): one for (input, output), one in known.items()}
-            say_answer(f"all channels: {call_of_all(of_set)}")
+        if () not in outcomes and len(channel_hints) == len(outcomes):
+            by_pair = {
+                (output, input): outcome for (input, output), outcome in channel_hints.items()
+            }
+            say_answer(f"all channels: {call_of_all(by_pair)}")
 
     def say_after() -> None:
-        given = signals.options()
+        data_options = signals.options()
         validation = counterpart(file, "validation") if from_recording(data) else ""
         validate = f" --validate {validation}" if validation else ""
-        options = _options([*known.values()], level=has_level(data))
-        if len(known) > 1 and any(one.doubts for one in known.values()):
+        options = _options([*channel_hints.values()], level=has_level(data))
+        if len(channel_hints) > 1 and any(hint.doubts for hint in channel_hints.values()):
             options = "--search"  # with feedback, OE would be biased
-        options += given
+        options += data_options
         values = {"options": options, "validate": validate, "model": "model.json"}
-        say_next("identify", file=typed(file), **values)
+        say_next("identify", file=command_line_name(file), **values)
 
     out.show(
         facts=lambda: facts_by_channel(
-            data, {n: (one, linear[n]) for n, one in found.items()}, _hint_facts
+            data, {n: (one, linear[n]) for n, one in outcomes.items()}, _hint_facts
         ),
         say=say_hints,
-        taken=signals.choice(data, known[()].integrator)[1] if () in known else (),
+        taken=signals.choice(data, channel_hints[()].integrator)[1] if () in channel_hints else (),
         figures=lambda: results.figures_by_channel(
-            known, lambda one: {"impulse": one.response.plot, **spectra, "structure": one.plot}
+            channel_hints,
+            lambda one: {"impulse": one.response.plot, **spectra, "structure": one.plot},
         ),
         say_next=say_after,
-        height=5.0 if () in known else 4.0,
-        columns=None if () in known else 2,
+        height=5.0 if () in channel_hints else 4.0,
+        columns=None if () in channel_hints else 2,
     )
 
 
-def _options(found: Sequence[StructureHints], *, level: bool) -> str:
+def _options(all_hints: Sequence[StructureHints], *, level: bool) -> str:
     """Return the options of `armrig identify` for hints, and for outputs with a level."""
     offset = " --offset" * level
-    if [one.process for one in found if not one.doubts] == [_FIRST_ORDER]:
+    if [hint.process for hint in all_hints if not hint.doubts] == [_FIRST_ORDER]:
         return f"--structure process --form {_FIRST_ORDER}{offset}"
-    nf = max(one.nf for one in found)
+    nf = max(hint.nf for hint in all_hints)
     # With one denominator, each channel of a sampled plant has a numerator of its order.
-    nb = max(one.nb for one in found) if len(found) == 1 else nf
-    shown = [one for one in found if one.nk_interval] or found  # without unknown delays
-    family = found[0].family if len(found) == 1 else "oe"
+    nb = max(hint.nb for hint in all_hints) if len(all_hints) == 1 else nf
+    lagged = [hint for hint in all_hints if hint.nk_interval] or all_hints  # without unknown delays
+    family = all_hints[0].family if len(all_hints) == 1 else "oe"
     poles = f"--na {nf} --nc {nf}" if family == "armax" else f"--nf {nf}"
-    options = f"--structure {family} --nb {nb} {poles} --nk {min(one.nk for one in shown)}"
-    integrates = any(one.integrator for one in found)
+    options = f"--structure {family} --nb {nb} {poles} --nk {min(hint.nk for hint in lagged)}"
+    integrates = any(hint.integrator for hint in all_hints)
     return options + (" --integrator" if integrates else offset)
 
 
 def _hint_facts(hint: tuple[StructureHints | str, str]) -> dict[str, Any]:
     """Return the hints about a channel, or the reason for missing hints, and its linearity."""
-    found, linear = hint
-    if isinstance(found, str):
-        return {"structure": None, "reasons": [found], "doubts": [], "linearity": linear}
-    of = "integrator integrator_shown low_slope high_slope relative_degree "
-    of += "resonances antiresonances nk_interval excess"
+    suggestion, linear = hint
+    if isinstance(suggestion, str):
+        return {"structure": None, "reasons": [suggestion], "doubts": [], "linearity": linear}
+    names = "integrator integrator_shown low_slope high_slope relative_degree "
+    names += "resonances antiresonances nk_interval excess"
     return {
-        "structure": found.family,
-        "orders": fields_of(found, "nb nf nk")
-        if found.family != "armax"
-        else {"na": found.nf, "nb": found.nb, "nc": found.nf, "nk": found.nk},
-        "structures": [fields_of(s, "nb nf nk integrator") for s in found.structures],
-        **fields_of(found, of),
-        "reasons": [*found.reasons],
-        "doubts": [f.text for f in found.findings if f.level != "good"],
+        "structure": suggestion.family,
+        "orders": fields_of(suggestion, "nb nf nk")
+        if suggestion.family != "armax"
+        else {"na": suggestion.nf, "nb": suggestion.nb, "nc": suggestion.nf, "nk": suggestion.nk},
+        "structures": [fields_of(s, "nb nf nk integrator") for s in suggestion.structures],
+        **fields_of(suggestion, names),
+        "reasons": [*suggestion.reasons],
+        "doubts": [f.text for f in suggestion.findings if f.level != "good"],
         "linearity": linear,
     }
 
@@ -273,13 +286,15 @@ def _hint_facts(hint: tuple[StructureHints | str, str]) -> dict[str, Any]:
 def identify(
     *,
     file: DataFile,
-    given: Annotated[model_structures.Given, model_structures.estimation_options(default_nk=_NK)],
-    searching: Annotated[_Search, group(_Search, ("search", "most", "jobs", "open_loop"))],
-    validate: Path | None = chosen(
+    options: Annotated[model_structures.Given, model_structures.estimation_options(default_nk=_NK)],
+    searching: Annotated[
+        _SearchRange, group(_SearchRange, ("search", "most", "jobs", "open_loop"))
+    ],
+    validate: Path | None = preset(
         None, "Recording, or other data, for validation.", metavar="F2", parser=recording_path
     ),
     signals: Annotated[SignalChoice, data_group()],
-    save: Path | None = chosen(None, "Model file to write.", metavar="JSON"),
+    save: Path | None = preset(None, "Model file to write.", metavar="JSON"),
     out: results.ShownFigure,
 ) -> None:
     """Estimate a model from data, or search for a model.
@@ -294,18 +309,20 @@ def identify(
     several signals, it shows the simulated outputs, and a Bode diagram for each pair.
     """
     shape = signals.shape
-    if given["structure"] in (None, *users("offset")):
-        signals = replace(signals, offset=given["offset"])
-    if signals.assume == "settling" and given["integrator"]:
+    if options["structure"] in (None, *users("offset")):
+        signals = replace(signals, offset=options["offset"])
+    if signals.assume == "settling" and options["integrator"]:
         raise typer.BadParameter("--assume settling contradicts --integrator: leave one out")
-    wanted: _Search | Request
+    wanted: _SearchRange | Request
     if searching.search:
-        wanted = replace(searching, fixed=model_structures.searched_for(given, *shape))
+        wanted = replace(searching, fixed=model_structures.search_arguments(options, *shape))
     else:
-        wanted = model_structures.requested(given, *shape)
+        wanted = model_structures.build_request(options, *shape)
     if save is not None:
-        what = "a model is written as JSON, a figure by -o"
-        results.check_output(save, list(filter(None, [file, validate])), "--save", what, ".json")
+        contents = "a model is written as JSON, a figure by -o"
+        results.check_output(
+            save, list(filter(None, [file, validate])), "--save", contents, ".json"
+        )
     from armrig.recordings.usability import doubts_of_estimation
 
     data = signals.of(file)
@@ -313,57 +330,57 @@ def identify(
         tell_findings(doubts_of_estimation(recording))
     # An estimation may take minutes: find errors in the validation data before it.
     other = None if validate is None else signals.of(validate)
-    if isinstance(wanted, _Search) and signals.read:
+    if isinstance(wanted, _SearchRange) and signals.read:
         runs = [recording.manifest for recording in signals.read]
         played = all(run.samples > 0 and run.controller_sha256 is UNSET for run in runs)
         wanted = replace(wanted, open_loop=wanted.open_loop or played)
-    wanted = _for_outputs(wanted, data, integrator=given["integrator"])
-    decides = (signals.assume or searching.search) and not (given["integrator"] or out.json)
+    wanted = _for_outputs(wanted, data, integrator=options["integrator"])
+    decides = (signals.assume or searching.search) and not (options["integrator"] or out.json)
     integrator, taken = signals.choice(data, named=bool(decides))
-    fit, request, searched = _estimated(wanted, data, other, integrator)
-    found = Found(
+    fit, request, searched = _estimate_or_search(wanted, data, other, integrator)
+    outcome = IdentifyOutcome(
         fit=fit,
         request=request,
         search=searched,
-        validation=None if other is None else _validated(fit, other),
+        validation=None if other is None else _validate_fit(fit, other),
         doubts=_doubts(fit, data, integrator) if searched is None else searched.doubts,
         data=data,
         file=file,
         validate=validate,
         save=save,
         signals=signals,
-        search_options=searching.typed(given) if searching.search else "",
+        search_options=searching.typed(options) if searching.search else "",
     )
     out.show(
-        facts=found.facts,
-        say=lambda: found.say(verbose=out.verbose),
+        facts=outcome.facts,
+        say=lambda: outcome.say(verbose=out.verbose),
         taken=taken,
-        figures=found.figures,
-        say_next=found.say_next,
-        write=None if save is None else lambda: found.fit.save(save),
-        width=results.WIDTH if found.fit.nu == 1 else results.CHANNEL_WIDTH,
-        columns=None if found.fit.nu == 1 else found.fit.nu,
+        figures=outcome.figures,
+        say_next=outcome.say_next,
+        write=None if save is None else lambda: outcome.fit.save(save),
+        width=results.WIDTH if outcome.fit.nu == 1 else results.CHANNEL_WIDTH,
+        columns=None if outcome.fit.nu == 1 else outcome.fit.nu,
     )
 
 
 def _for_outputs(
-    wanted: _Search | Request, data: Dataset | Signals, *, integrator: bool
-) -> _Search | Request:
+    wanted: _SearchRange | Request, data: Dataset | Signals, *, integrator: bool
+) -> _SearchRange | Request:
     """Return what is wanted, with the integrators and the shared denominator of several outputs."""
     # A rig's outputs share one denominator. Some outputs of the arm integrate, and all other data.
-    columns, recorded, known = data.signals(), from_recording(data), from_arm(data)
+    columns, recorded, is_arm = data.signals(), from_recording(data), from_arm(data)
     integrating = tuple(
-        name for name in columns.outputs if not known or name in INTEGRATING_OUTPUTS
+        name for name in columns.outputs if not is_arm or name in INTEGRATING_OUTPUTS
     )
     if integrator and not integrating:
-        msg = f"--integrator: the rig has no pole at 1 for {listed(columns.outputs)}"
+        msg = f"--integrator: the rig has no pole at 1 for {join_names(columns.outputs)}"
         if columns.ny > 1:
             raise typer.BadParameter(msg)
         tell(f"{msg}, which does not integrate")
     if (columns.ny, columns.nu) == (1, 1):
         return wanted
-    if isinstance(wanted, _Search):
-        fixed = wanted.fixed | {"integrator": integrating if integrator or known else ()}
+    if isinstance(wanted, _SearchRange):
+        fixed = wanted.fixed | {"integrator": integrating if integrator or is_arm else ()}
         return replace(wanted, fixed=fixed)
     if recorded and "shared" in STRUCTURES[wanted.structure].takes:
         wanted = structs.replace(wanted, shared=True)
@@ -380,7 +397,7 @@ class _Validation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+class IdentifyOutcome:
     """Model, and the results of its estimation or search."""
 
     fit: Fit
@@ -430,8 +447,8 @@ class Found:
         if self.search is not None:
             yield [self.search.table(), self.search.explain()]
         yield equation.estimation_lines(self.fit)
-        said = [f"! {f.about}: {f.text}" for f in self.doubts if self.search is None]
-        yield [*said, repr(armrig.advice(self.fit))]
+        doubt_lines = [f"! {f.about}: {f.text}" for f in self.doubts if self.search is None]
+        yield [*doubt_lines, repr(armrig.advice(self.fit))]
         if self.validation is not None:
             yield [f"validation on {self.validate}", repr(self.validation.table)]
             yield self.validation.tests.lines(every=True)
@@ -442,8 +459,8 @@ class Found:
         from armrig.models import equation
 
         facts = equation.estimation_facts(self.fit) | source_facts(self.data)
-        found = (*self.doubts, *model_output.advice_on(self.fit))
-        facts["advice"] = [fields_of(f, "about level text") for f in found]
+        findings = (*self.doubts, *model_output.advice_on(self.fit))
+        facts["advice"] = [fields_of(f, "about level text") for f in findings]
         if self.search is not None:
             facts["search"] = _search_facts(self.search)
         if self.validation is not None:
@@ -466,8 +483,8 @@ class Found:
                 "poles": plots.plot_poles_zeros,
             }
             return drawn | {name: partial(plot, fit) for name, plot in each.items()}
-        shown = self.data if self.validation is None else self.validation.data
-        drawn["compare"] = armrig.compare(shown, fit).plot
+        data = self.data if self.validation is None else self.validation.data
+        drawn["compare"] = armrig.compare(data, fit).plot
         for i, j, channel in fit.channels():
             label = f"{fit.inputs[j]} to {fit.outputs[i]}"
             drawn[f"bode_{label.replace(' ', '_')}"] = partial(
@@ -481,24 +498,24 @@ class Found:
 
         done = {"outliers"} if self.signals.hampel else set()
         done |= {"integrator"} if self.signals.integrator is False else set()
-        found = (*self.doubts, *advice_on(self.fit))
-        after_identify(self, [f for f in found if f.level != "good" and f.remedy not in done])
+        findings = (*self.doubts, *advice_on(self.fit))
+        after_identify(self, [f for f in findings if f.level != "good" and f.remedy not in done])
 
 
-def _estimated(
-    wanted: _Search | Request,
+def _estimate_or_search(
+    wanted: _SearchRange | Request,
     data: Dataset | Signals,
     other: Dataset | Signals | None,
     integrator: bool | None,
 ) -> tuple[Fit, Request, armrig.SearchResult | None]:
     """Return the model, the request with which to estimate it again, and the search if any."""
     if isinstance(wanted, Request):
-        fit = model_structures.estimated(data, wanted)
+        fit = model_structures.estimate_model(data, wanted)
         return fit, wanted.of_fit(fit), None
-    found = _searched(wanted, data, other, integrator)
-    request = found.chosen.candidate.request
+    search = _search_models(wanted, data, other, integrator)
+    request = search.chosen.candidate.request
     again = structs.replace(request, stable=False, focus=None, starts=None, replicates=None)
-    return found.fit, again.of_fit(found.fit), found
+    return search.fit, again.of_fit(search.fit), search
 
 
 def _doubts(fit: Fit, data: Dataset | Signals, integrator: bool | None) -> tuple[Finding, ...]:
@@ -508,15 +525,15 @@ def _doubts(fit: Fit, data: Dataset | Signals, integrator: bool | None) -> tuple
         return tuple(examine_fit_of(data, fit, integrator))
 
 
-def _searched(
-    wanted: _Search,
+def _search_models(
+    wanted: _SearchRange,
     data: Dataset | Signals,
     other: Dataset | Signals | None,
     integrator: bool | None,
 ) -> armrig.SearchResult:
     from concurrent.futures import ProcessPoolExecutor
 
-    given: model_structures.Given = {"integrator": integrator} | wanted.fixed
+    arguments: model_structures.Given = {"integrator": integrator} | wanted.fixed
     pool = ProcessPoolExecutor(wanted.jobs) if wanted.jobs > 1 else nullcontext()
     with estimating("--max-order") as progress, pool as executor:
         return armrig.search(
@@ -526,19 +543,19 @@ def _searched(
             open_loop=wanted.open_loop,
             executor=executor,
             progress=progress,
-            **given,
+            **arguments,
         )
 
 
-def _validated(fit: Fit, other: Dataset | Signals) -> _Validation:
+def _validate_fit(fit: Fit, other: Dataset | Signals) -> _Validation:
     with estimating("the orders"):
         table, tests = armrig.compare(other, fit), armrig.residuals(fit, other)
     tell_findings(table.findings)
     return _Validation(data=other, table=table, tests=tests)
 
 
-def _search_facts(found: armrig.SearchResult) -> dict[str, Any]:
-    rows = zip(found.ranked, found.rms, found.excess, found.excess_std, strict=True)
+def _search_facts(search: armrig.SearchResult) -> dict[str, Any]:
+    rows = zip(search.ranked, search.rms, search.excess, search.excess_std, strict=True)
     return {
         "models": [
             {
@@ -547,16 +564,16 @@ def _search_facts(found: armrig.SearchResult) -> dict[str, Any]:
                 "rms_error": rms,
                 "excess": excess,
                 "excess_std": std,
-                "chosen": j is found.chosen,
+                "chosen": j is search.chosen,
             }
             for j, rms, excess, std in rows
         ],
-        "failed": {one.name: reason for one, reason in found.failed.items()},
-        "reasons": found.explain().splitlines(),
+        "failed": {candidate.name: reason for candidate, reason in search.failed.items()},
+        "reasons": search.explain().splitlines(),
     }
 
 
-batch = Commands(
+batch = CommandGroup(
     "Process all recordings of a folder. Write a table (Parquet) with a row for each recording.",
     no_args_is_help=True,
 )
@@ -573,15 +590,15 @@ _MAX_NAMES = 3  # recordings in a message
 class _Selection:
     """Options of all batches: the recordings, the processes and the form of the result."""
 
-    rig: list[str] | None = chosen(None, "Id of a rig to include; repeatable.", "all rigs")
-    kind: list[str] | None = chosen(None, "Kind of experiment to include; repeatable.", "all kinds")
-    workers: int | None = chosen(
+    rig: list[str] | None = preset(None, "Id of a rig to include; repeatable.", "all rigs")
+    kind: list[str] | None = preset(None, "Kind of experiment to include; repeatable.", "all kinds")
+    workers: int | None = preset(
         None, "Number of processes on this machine.", "one for each core", min=1
     )
-    scheduler: str | None = chosen(
+    scheduler: str | None = preset(
         None, "Address of a Dask scheduler whose workers process the recordings.", metavar="ADDRESS"
     )
-    force: bool = chosen(False, "Process all recordings again and replace the table.")
+    force: bool = preset(False, "Process all recordings again and replace the table.")
     json: Json = False
 
 
@@ -593,8 +610,8 @@ def identify_each(
     *,
     folder: Folder,
     output: Table,
-    given: Annotated[model_structures.Given, model_structures.estimation_options(structure="oe")],
-    signal: str | None = chosen(None, "Output of the model.", "the first channel", metavar="NAME"),
+    options: Annotated[model_structures.Given, model_structures.estimation_options(structure="oe")],
+    signal: str | None = preset(None, "Output of the model.", "the first channel", metavar="NAME"),
     detrend: Detrend = False,
     selection: Selection,
 ) -> None:
@@ -604,7 +621,9 @@ def identify_each(
     """
     from armrig.report.batch.tasks import Identify
 
-    task = Identify(**asdict(model_structures.requested(given)), signal=signal, detrend=detrend)
+    task = Identify(
+        **asdict(model_structures.build_request(options)), signal=signal, detrend=detrend
+    )
     _process(task, folder, output, selection)
 
 
@@ -647,7 +666,7 @@ def report_each(
     *,
     folder: Folder,
     output: Table,
-    reports: Path = chosen(Path("reports"), "Folder for the PDFs.", metavar="FOLDER"),
+    reports: Path = preset(Path("reports"), "Folder for the PDFs.", metavar="FOLDER"),
     orders: ModelOrders,
     selection: Selection,
 ) -> None:
@@ -694,7 +713,7 @@ def _say_batch(table: Path, rows: list[Row], done_before: int, *, json: bool) ->
         if row["problem"]:
             without[name] = row["problem"]
         if row.get("passed") is False:
-            failed[name] = _failed_checks(row)
+            failed[name] = _failure_text(row)
         elif row["damage"] and not row["problem"]:
             damaged[name] = f"the result covers the undamaged part: {row['damage']}"
     facts = {"table": table, "rows": len(rows), "done_before": done_before}
@@ -714,7 +733,7 @@ def _say_batch(table: Path, rows: list[Row], done_before: int, *, json: bool) ->
         raise typer.Exit(1)
 
 
-def _failed_checks(row: dict[str, Any]) -> str:
+def _failure_text(row: dict[str, Any]) -> str:
     """Return the failed checks of a recording and their results."""
     from armrig.report.batch.tasks import CHECKS
 
@@ -722,9 +741,9 @@ def _failed_checks(row: dict[str, Any]) -> str:
     return "; ".join(f"{about} failed: {row[f'{about}_found']}" for about in failed)
 
 
-def _first(found: dict[str, str], columns: str) -> Iterator[str]:
+def _first(findings: dict[str, str], columns: str) -> Iterator[str]:
     """Yield the first findings about recordings, and the columns that contain all findings."""
-    for name, text in [*found.items()][:_MAX_NAMES]:
+    for name, text in [*findings.items()][:_MAX_NAMES]:
         yield f"  {name}: {text}"
-    if len(found) > _MAX_NAMES:
-        yield f"  and {len(found) - _MAX_NAMES} more; the {columns} all reasons"
+    if len(findings) > _MAX_NAMES:
+        yield f"  and {len(findings) - _MAX_NAMES} more; the {columns} all reasons"

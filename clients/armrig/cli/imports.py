@@ -12,7 +12,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from armrig_core.errors import InputError
-from armrig_core.process.options import argument, chosen, group
+from armrig_core.process.options import argument, group, preset
 
 from armrig.cli.next_step import free_recording_name, say_next
 from armrig.cli.options import Json, Verbose
@@ -41,29 +41,29 @@ _STAMP = "%Y%m%dT%H%M%S"
 class ReadingOptions:
     """Options of reading foreign files."""
 
-    input: str | None = chosen(
+    input: str | None = preset(
         None,
         "Column of an input: its name, or its number from 1.",
         "u, if there is it",
         metavar="NAME",
     )
-    signal: str | None = chosen(None, "Column of an output.", "y, if there is it", metavar="NAME")
-    time: str | None = chosen(
+    signal: str | None = preset(None, "Column of an output.", "y, if there is it", metavar="NAME")
+    time: str | None = preset(
         None, "Column of the times.", "t or time, if the file has it", metavar="NAME"
     )
-    Ts: float | None = chosen(None, "Sampling time, in s.", "from the times")
-    topic: str | None = chosen(
+    Ts: float | None = preset(None, "Sampling time, in s.", "from the times")
+    topic: str | None = preset(
         None,
         "Topic of an MCAP file of another program; its messages' fields are the columns.",
         metavar="NAME",
     )
-    decimal: Literal[",", "."] | None = chosen(
+    decimal: Literal[",", "."] | None = preset(
         None, "Decimal mark: comma or point.", "found from all numbers of the file"
     )
-    resample: bool = chosen(False, "Interpolate rows at uneven times; needs --input.")
-    hold_input: bool = chosen(False, "Hold the input where its cell is empty.")
-    mask_rails: bool = chosen(False, "Mark samples at a rail of the converter as missing.")
-    unwrap: float | None = chosen(
+    resample: bool = preset(False, "Interpolate rows at uneven times; needs --input.")
+    hold_input: bool = preset(False, "Hold the input where its cell is empty.")
+    mask_rails: bool = preset(False, "Mark samples at a rail of the converter as missing.")
+    unwrap: float | None = preset(
         None,
         "Range of a counter or angle that wraps, such as 65536 or 360; its jumps are removed.",
         metavar="RANGE",
@@ -75,8 +75,8 @@ def import_(
     reading: Annotated[
         dict[str, Any], group(ReadingOptions, made=dict, repeatable=("input", "signal"))
     ],
-    name: str | None = chosen(None, "Name of the recording, as in @NAME.", "the file's name"),
-    out: Path | None = chosen(
+    name: str | None = preset(None, "Name of the recording, as in @NAME.", "the file's name"),
+    out: Path | None = preset(
         None,
         "MCAP file to write.",
         "a file in the folder of the recordings",

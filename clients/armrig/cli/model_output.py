@@ -10,7 +10,7 @@ import numpy as np
 import armrig
 from armrig.cli.printing import echo, fields_of, say, say_more
 from armrig.cli.recorded_data import source_facts
-from armrig.numerics.quantities import listed, plural
+from armrig.numerics.quantities import join_names, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL
 from armrig.validation.advice import advice
 from armrig.validation.answer import closest
@@ -31,27 +31,29 @@ _MAX_DIFFERENCES = 4
 def advice_lines(fit: armrig.Fit, doubts: Sequence[Finding]) -> list[str]:
     """Return lines with doubts about the data and with the advice on the model."""
     # The first sentence of the output already reports the residuals.
-    said = {"residuals"} | {f.about for f in doubts}
-    if "integrator" in said:  # explains a pole and a zero at 1, too
-        said.add("level")
-    found = [f for f in advice_on(fit) if f.level != "good"]
-    advised = [f for f in found if f.about not in said]
+    reported_topics = {"residuals"} | {f.about for f in doubts}
+    if "integrator" in reported_topics:  # explains a pole and a zero at 1, too
+        reported_topics.add("level")
+    problems = [f for f in advice_on(fit) if f.level != "good"]
+    advised = [f for f in problems if f.about not in reported_topics]
     # The command reported the number of samples when it read the data.
-    shown = [f for f in (*doubts, *advised) if f.about != "samples"]
-    lines = [f"! {f.about.replace('_', ' ')}: {f.text}" for f in shown]
-    return lines or [f"nothing {'else ' if found or doubts else ''}to act on"]
+    findings = [f for f in (*doubts, *advised) if f.about != "samples"]
+    lines = [f"! {f.about.replace('_', ' ')}: {f.text}" for f in findings]
+    return lines or [f"nothing {'else ' if problems or doubts else ''}to act on"]
 
 
 def advice_on(fit: armrig.Fit) -> tuple[Finding, ...]:
     """Return the findings about a model; those about several signals name their channels."""
-    found: Any = advice(fit)
-    if not isinstance(found, ByChannel):
-        return tuple(found.findings)
+    fit_advice: Any = advice(fit)
+    if not isinstance(fit_advice, ByChannel):
+        return tuple(fit_advice.findings)
     channels: dict[Finding, list[str]] = {}
-    for (output, input), of_channel in found.results.items():
+    for (output, input), of_channel in fit_advice.results.items():
         for f in of_channel.findings:
             channels.setdefault(f, []).append(f"{input} to {output}")
-    of_channels = [replace(f, text=f"{listed(of)}: {f.text}") for f, of in channels.items()]
+    of_channels = [
+        replace(f, text=f"{join_names(names)}: {f.text}") for f, names in channels.items()
+    ]
     return (*fit.findings, *of_channels)
 
 
@@ -87,7 +89,7 @@ def error_facts(
     if len(rows) == 1:
         return each[0]
     return {"outputs": [row.output for row in rows]} | {
-        name: [of[name] for of in each] for name in each[0]
+        name: [errors[name] for errors in each] for name in each[0]
     }
 
 

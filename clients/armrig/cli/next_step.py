@@ -24,7 +24,7 @@ from armrig.estimation.request import Request, options_of
 from armrig.models.structure_table import STRUCTURES
 
 if TYPE_CHECKING:
-    from armrig.cli.identify import Found
+    from armrig.cli.identify import IdentifyOutcome
     from armrig.data.dataset import Dataset, Signals
     from armrig.data.finding import Finding
     from armrig.models.fit import Fit
@@ -94,19 +94,19 @@ def next_line(name: str, origin: Origin | None = None, /, **values: str | float)
     recordings and rigs of this origin.
     """
     opener = {"darwin": "open", "win32": "start"}.get(sys.platform, "xdg-open")
-    known = {
+    defaults = {
         "opener": opener,
         "given": "",
         "validate": "",
-        "rig": naming(origin.rig if origin else "1"),
+        "rig": option_for_rig(origin.rig if origin else "1"),
     }
-    line = NEXT[name].format(**known | values)
+    line = NEXT[name].format(**defaults | values)
     return f"next: {printable(_goes_on(line, origin))}"
 
 
 def _goes_on(line: str, origin: Origin | None) -> str:
     """Return the command, or a later command if the rig runs or the recording already exists."""
-    from armrig_core.rig.description import shipped
+    from armrig_core.rig.description import builtin
 
     from armrig.recordings.files.origin import Origin
 
@@ -121,24 +121,24 @@ def _goes_on(line: str, origin: Origin | None) -> str:
         return line
     rig = words[words.index("--rig") + 1] if "--rig" in words else "1"
     # Without a recording or a rig before, the next steps are the handout's: those of the arm.
-    origin = origin or Origin(rig=rig, description_sha256=shipped("arm").sha256)
-    own = own_recordings()
-    alike = [s for s in own if origin.matches(s)]
+    origin = origin or Origin(rig=rig, description_sha256=builtin("arm").sha256)
+    recordings = own_recordings()
+    alike = [s for s in recordings if origin.matches(s)]
     estimated = [first for first, _ in _pairs(alike, "blackbox")]
     if "--validation" in words:
         Ts = float(words[words.index("--Ts") + 1])
         pair = next((s for s in estimated if s.Ts == Ts), None)
-        return NEXT["plot"].format(file=typed(pair.path)) if pair else line
+        return NEXT["plot"].format(file=command_line_name(pair.path)) if pair else line
     if words[-2] != "--name":
         return line
     names = f"{words[-1]}{_AGAIN}", words[-1]  # prefer the repeated run
-    named = [s for name in names for s in own if name in s.names(validation=False)]
+    named = [s for name in names for s in recordings if name in s.names(validation=False)]
     usable = [s for s in named if s in alike]
     if not usable:  # a recording of another origin keeps its name
         return line.rpartition("--name")[0].rstrip() if named else line
     if usable[0].kind == "step" and estimated:
-        return NEXT["hints"].format(file=typed(estimated[0].path), given="")
-    return NEXT[OF_KIND.get(usable[0].kind, "plot")].format(file=typed(usable[0].path))
+        return NEXT["hints"].format(file=command_line_name(estimated[0].path), given="")
+    return NEXT[OF_KIND.get(usable[0].kind, "plot")].format(file=command_line_name(usable[0].path))
 
 
 def own_recordings() -> list[RecordingSummary]:
@@ -158,17 +158,19 @@ def free_recording_name(name: str) -> str:
     return next(name for name in names if name not in used)
 
 
-def _pairs(own: Sequence[RecordingSummary], *kinds: str) -> list[tuple[RecordingSummary, ...]]:
+def _pairs(
+    recordings: Sequence[RecordingSummary], *kinds: str
+) -> list[tuple[RecordingSummary, ...]]:
     """Return estimation and validation recordings of one Ts and origin, newest first."""
     from armrig.recordings.files.origin import Origin
 
     estimations: dict[str, list[RecordingSummary]] = {}
-    for s in own:
+    for s in recordings:
         if not s.is_validation:
             estimations.setdefault(s.run_id, []).append(s)
     return [
         (a, b)
-        for b in own
+        for b in recordings
         if b.is_validation and b.kind in (kinds or (b.kind,))
         for a in estimations.get(b.validation_of, ())
         if a.kind == b.kind and a.Ts == b.Ts and Origin.of_summary(a).matches(b)
@@ -178,8 +180,8 @@ def _pairs(own: Sequence[RecordingSummary], *kinds: str) -> list[tuple[Recording
 def counterpart(path: Path, wanted: Literal["estimation", "validation"]) -> str:
     """Return the name of the wanted recording of the pair with `path`; "" if none exists."""
     pairs = [(a, b) if wanted == "validation" else (b, a) for a, b in _pairs(own_recordings())]
-    found = (other for own, other in pairs if own.path.absolute() == path.absolute())
-    return next((typed(other.path) for other in found), "")
+    partners = (other for summary, other in pairs if summary.path.absolute() == path.absolute())
+    return next((command_line_name(other.path) for other in partners), "")
 
 
 def step_again(recording: Recording) -> str:
@@ -187,22 +189,22 @@ def step_again(recording: Recording) -> str:
 
     A chassis that rests before the step must be turned by hand; the result is then "", too.
     """
-    from armrig.recordings.findings import hidden_step, step_options
+    from armrig.recordings.findings import check_step, step_options
 
-    manifest, hidden = recording.manifest, hidden_step(recording)
+    manifest, hidden = recording.manifest, check_step(recording)
     options = step_options(hidden.numbers) if hidden else ""
     name = manifest.experiment.partition("-")[2]
     named = f" --name {quote(f'{name[:_MAX_NAME_LENGTH]}{_AGAIN}')}" if name else ""
     return f" --Ts {manifest.every * manifest.Ts:g} {options}{named}" if options else ""
 
 
-def naming(rig: str, connect: str | None = None) -> str:
+def option_for_rig(rig: str, connect: str | None = None) -> str:
     """Return the options that name a rig and its endpoint; "" for the defaults."""
     named = "" if rig == "1" else f" --rig {rig}"
     return f"{named} --connect {quote(connect)}" if connect else named
 
 
-def typed(path: Path) -> str:
+def command_line_name(path: Path) -> str:
     """Return the @name of a recording, or its quoted path, as a user types it."""
     from armrig.recordings.files.recording_names import name_of
 
@@ -215,22 +217,22 @@ def free_name() -> str:
     return next(name for name in names if not Path(name).exists())
 
 
-def say_handout(given: Sequence[Path] = (), answers: Path = REASONS, sinusoid: str = "") -> None:
+def say_handout(paths: Sequence[Path] = (), answers: Path = REASONS, sinusoid: str = "") -> None:
     """Print the command of the handout's report, with the file `answers` if it exists.
 
     The report contains the given recordings, and others of the same origin.
     """
-    said = f" --answers {quote(str(answers))}" if answers.exists() else ""
-    files, report = path_texts(_for_the_report(given)), free_name()
-    say_next("handout", files=files, answers=said, sinusoid=sinusoid, report=report)
+    answers_option = f" --answers {quote(str(answers))}" if answers.exists() else ""
+    files, report = path_texts(_for_the_report(paths)), free_name()
+    say_next("handout", files=files, answers=answers_option, sinusoid=sinusoid, report=report)
 
 
 def path_texts(paths: Iterable[Path]) -> str:
     """Return the names of recordings, with a blank before each name."""
-    return "".join(f" {typed(path)}" for path in paths)
+    return "".join(f" {command_line_name(path)}" for path in paths)
 
 
-def _for_the_report(given: Sequence[Path]) -> list[Path]:
+def _for_the_report(paths: Sequence[Path]) -> list[Path]:
     """Return the recordings for the handout's report: the given recordings, and others like them.
 
     The report uses a step, an estimation and a validation recording, and a recording of the
@@ -240,18 +242,18 @@ def _for_the_report(given: Sequence[Path]) -> list[Path]:
     from armrig.recordings.files.origin import Origin, description_in
     from armrig.recordings.files.recording_summary import summary_of
 
-    own = own_recordings()
+    recordings = own_recordings()
     try:
-        fixed = [summary_of(path) for path in given]
+        fixed = [summary_of(path) for path in paths]
     except (DamageError, OSError):  # nothing is known about an incomplete recording
-        return list(given)
+        return list(paths)
     if fixed:
         origins = [Origin.of_summary(s) for s in fixed]
-        taken = {path.absolute() for path in given}
-        alike = [s for s in own if all(origin.matches(s) for origin in origins)]
+        taken = {path.absolute() for path in paths}
+        alike = [s for s in recordings if all(origin.matches(s) for origin in origins)]
         alike = [s for s in alike if s.path.absolute() not in taken]
         return [s.path for s in _complete_set(fixed, alike)]
-    groups, left = list[list["RecordingSummary"]](), own
+    groups, left = list[list["RecordingSummary"]](), recordings
     while left:
         origin, described = Origin.of_summary(left[0]), description_in(left[0].path)
         alike = [s for s in left if origin.matches(s)]
@@ -262,13 +264,13 @@ def _for_the_report(given: Sequence[Path]) -> list[Path]:
 
 
 def _complete_set(
-    given: Sequence[RecordingSummary], alike: Sequence[RecordingSummary]
+    fixed: Sequence[RecordingSummary], alike: Sequence[RecordingSummary]
 ) -> list[RecordingSummary]:
     """Return the given recordings, completed from `alike`: step, pair, chassis, and others."""
     from armrig.report.handout_study import OTHERS
 
-    steps, alone = ([s for s in given if s.kind == kind] for kind in ("step", "greybox"))
-    excited = [s for s in given if s.kind not in OTHERS]
+    steps, alone = ([s for s in fixed if s.kind == kind] for kind in ("step", "greybox"))
+    excited = [s for s in fixed if s.kind not in OTHERS]
     if not excited:
         named_first = sorted(_pairs(alike, "blackbox"), key=lambda pair: not pair[1].name)
         excited = list(chain(*named_first[:1]))
@@ -276,18 +278,18 @@ def _complete_set(
         pairs = _pairs([*excited, *alike])
         excited = next((list(pair) for pair in pairs if excited[0] in pair), excited)
     chosen = [*(steps or _newest("step", alike)), *excited, *(alone or _newest("greybox", alike))]
-    return chosen + [s for s in given if s not in chosen]
+    return chosen + [s for s in fixed if s not in chosen]
 
 
-def _newest(kind: str, own: Sequence[RecordingSummary]) -> list[RecordingSummary]:
+def _newest(kind: str, recordings: Sequence[RecordingSummary]) -> list[RecordingSummary]:
     """Return the newest recording of a kind, if possible with a name; [] if there is none."""
-    return sorted((s for s in own if s.kind == kind), key=lambda s: not s.name)[:1]
+    return sorted((s for s in recordings if s.kind == kind), key=lambda s: not s.name)[:1]
 
 
 def chassis(origin: Origin | None) -> str:
     """Return the name of the newest complete recording of the chassis alone; "" if none exists."""
     alike = [s for s in own_recordings() if origin is None or origin.matches(s)]
-    return "".join(typed(s.path) for s in _newest("greybox", alike))
+    return "".join(command_line_name(s.path) for s in _newest("greybox", alike))
 
 
 CHECK = ""
@@ -296,38 +298,42 @@ _REJECTED = {"residuals", "search", "feedback"}
 """Codes of the findings after which a model of several signals is estimated again."""
 
 
-def after_identify(found: Found, findings: Sequence[Finding]) -> None:
+def after_identify(outcome: IdentifyOutcome, findings: Sequence[Finding]) -> None:
     """Print the next command, which acts on the findings, saves the model or validates it."""
-    fit, data, signals, columns = found.fit, found.data, found.signals, found.data.signals()
-    one = (fit.ny, fit.nu) == (1, 1)
-    options, given, file = options_after(found, findings), signals.options(), typed(found.file)
-    validation = typed(found.validate) if found.validate else ""
+    fit, data, signals, columns = outcome.fit, outcome.data, outcome.signals, outcome.data.signals()
+    siso = (fit.ny, fit.nu) == (1, 1)
+    options, data_options, file = (
+        options_after(outcome, findings),
+        signals.options(),
+        command_line_name(outcome.file),
+    )
+    validation = command_line_name(outcome.validate) if outcome.validate else ""
     if signals.read and not validation:
-        validation = counterpart(found.file, "validation")
+        validation = counterpart(outcome.file, "validation")
     output, input = (*signals.outputs, *columns.outputs)[0], (*signals.inputs, *columns.inputs)[0]
     channel = signals.of_channel(output, input, data)
     values: dict[str, str | float] = {
         "file": file,
         "Ts": data.Ts or fit.Ts,
         "validation": validation,
-        "model": quote(str(found.save or "model.json")),
-        "options": options + given + (f" --validate {validation}" if validation else ""),
+        "model": quote(str(outcome.save or "model.json")),
+        "options": options + data_options + (f" --validate {validation}" if validation else ""),
         # `armrig check` has no option --offset.
-        "given": channel.options() + " --detrend" * (one and fit.offset and not signals.detrend),
+        "given": channel.options() + " --detrend" * (siso and fit.offset and not signals.detrend),
     }
     roles = "".join(f" {typed}" for typed in signals.given("input", "signal"))
     # The next step after the validation of one output is known for the arm's angle alone.
-    known = signals.read and (not one or fit.output in INTEGRATING_OUTPUTS)
+    has_next = signals.read and (not siso or fit.output in INTEGRATING_OUTPUTS)
     if "rails" in {f.remedy for f in findings}:
-        say_next("import", file=_original(found.file), given=roles)
+        say_next("import", file=_original(outcome.file), given=roles)
     elif options == CHECK:
         say_next("check", **values)
-    elif found.save is None or options != (found.search_options or options_of(found.request)):
+    elif outcome.save is None or options != (outcome.search_options or options_of(outcome.request)):
         say_next("identify", **values)
-    elif found.validate is not None and found.validation is not None and known:
-        tests = found.validation.tests
-        after_validate(fit, tests, data, found.validate, found.save, signals, estimation=file)
-    elif one and signals.read and (design := design_model_file(signals.read[0].path)):
+    elif outcome.validate is not None and outcome.validation is not None and has_next:
+        tests = outcome.validation.tests
+        after_validate(fit, tests, data, outcome.validate, outcome.save, signals, estimation=file)
+    elif siso and signals.read and (design := design_model_file(signals.read[0].path)):
         say_next("compare laws", **values | {"design": design})
     elif validation:
         # `armrig validate` has no option --assume.
@@ -385,23 +391,23 @@ def after_validate(
     if name == "check" and not recorded:
         return  # `check` of other data leads to hints, and so to this model again
     part = SignalChoice(calibration=signals.calibration, start=signals.start, stop=signals.stop)
-    values = {"file": typed(file), "estimation": estimation, "model": quote(str(model))}
+    values = {"file": command_line_name(file), "estimation": estimation, "model": quote(str(model))}
     say_next(name, **values, given=channel.options(data), part=part.options())
 
 
-def options_after(found: Found, findings: Sequence[Finding]) -> str:
+def options_after(outcome: IdentifyOutcome, findings: Sequence[Finding]) -> str:
     """Return the options with which `armrig identify` applies the remedies of the findings.
 
     The result is `CHECK` if the data must be tested first.
     """
-    fit, request = found.fit, found.request
+    fit, request = outcome.fit, outcome.request
     if (fit.ny, fit.nu) != (1, 1):
-        if found.search is None and any(f.remedy == "noise" for f in findings):
+        if outcome.search is None and any(f.remedy == "noise" for f in findings):
             return "--structure ss"
-        return _of_several(found, {f.about for f in findings})
+        return _of_several(outcome, {f.about for f in findings})
     kind = STRUCTURES[fit.structure]
     remedies = {f.remedy for f in findings}
-    if "noise" in remedies and found.search is None:
+    if "noise" in remedies and outcome.search is None:
         if kind.continuous:
             return options_of(structs.replace(request, two_stage=True))
         n = fit.denominator.size - 1
@@ -410,10 +416,12 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
     checked = {f.about for f in findings if f.remedy == "check"}
     # A noise model prevents the bias by feedback.
     must_check = bool(checked - {"feedback"} or (checked and not kind.closed_loop))
-    if found.search is not None:  # it compared levels, orders and delays on data held out
+    if outcome.search is not None:  # it compared levels, orders and delays on data held out
         outliers = "outliers" in remedies
         return (
-            CHECK if must_check and not outliers else found.search_options + " --hampel" * outliers
+            CHECK
+            if must_check and not outliers
+            else outcome.search_options + " --hampel" * outliers
         )
     if "structure" in remedies:
         oe = request.of_structure("oe", {"nb": fit.orders["nb"], "nf": fit.orders[kind.poles]})
@@ -423,7 +431,7 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
     asked = "integrator" in remedies and not level
     integrator = (fit.integrator or asked) and "integrator" in kind.takes
     offset = (fit.offset or level) and "offset" in kind.takes and not (integrator or fit.integrator)
-    detrend = level and not (offset or found.signals.detrend)
+    detrend = level and not (offset or outcome.signals.detrend)
     # If the level was removed or estimated and is found again, the order is too high.
     seen = level and not detrend and offset == fit.offset
     form = f"{request.form}I" if request.form and asked else request.form
@@ -440,7 +448,7 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
         return CHECK
     if "search" in remedies and fit.structure != "pem" and not request.two_stage:
         # The noise of a process model has no parameters: its colour is no reason for a pole more.
-        if form and not _misses_dynamics(found):
+        if form and not _misses_dynamics(outcome):
             return options
         if form and ("D" not in form or form[1] < "3"):  # a dead time, or a time constant more
             richer = f"P{int(form[1]) + 1}{form[2:]}" if "D" in form else f"{form}D"
@@ -449,12 +457,12 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
     return options
 
 
-def _of_several(found: Found, about: Set[str]) -> str:
+def _of_several(outcome: IdentifyOutcome, about: Set[str]) -> str:
     """Return the options of the next estimation of several signals; others only if rejected."""
-    request, data = found.request, found.data
-    rejected = found.validation is not None and found.validation.tests.rejects
-    if found.search is not None or not (rejected or about & _REJECTED):
-        return found.search_options or options_of(request)
+    request, data = outcome.request, outcome.data
+    rejected = outcome.validation is not None and outcome.validation.tests.rejects
+    if outcome.search is not None or not (rejected or about & _REJECTED):
+        return outcome.search_options or options_of(request)
     if not from_arm(data):
         may_offset = "offset" in STRUCTURES[request.structure].takes
         if has_level(data) and not request.offset:  # with the level the orders may fit
@@ -472,11 +480,11 @@ def _later(request: Request, nk: int) -> dict[str, Any]:
     return {"delay": "estimate"} if STRUCTURES[request.structure].continuous else {"nk": nk}
 
 
-def _misses_dynamics(found: Found) -> bool:
+def _misses_dynamics(outcome: IdentifyOutcome) -> bool:
     from armrig.numerics.whiteness import WHITE_LEVEL
     from armrig.validation.residuals import residuals
 
-    tests = found.validation.tests if found.validation else residuals(found.fit, found.data)
+    tests = outcome.validation.tests if outcome.validation else residuals(outcome.fit, outcome.data)
     return bool(tests.missing_dynamics < WHITE_LEVEL)
 
 

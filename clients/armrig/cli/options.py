@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from armrig_core.process.options import chosen, group, option
+from armrig_core.process.options import group, option, preset
 
 RigId = Annotated[str, option("--rig", "Id of the rig.")]
 Connect = Annotated[
@@ -64,10 +64,10 @@ Detrend = Annotated[bool, option("--detrend", "Subtract the mean of each signal 
 
 @dataclass(frozen=True, kw_only=True)
 class _ModelOrders:
-    na: int = chosen(4, "Number of coefficients a (ARX).")
-    nb: int = chosen(4, "Number of coefficients b.")
-    nf: int = chosen(4, "Number of coefficients f (OE); an integrator counts as one.")
-    nk: int = chosen(1, "Delay from u to y, in samples.")
+    na: int = preset(4, "Number of coefficients a (ARX).")
+    nb: int = preset(4, "Number of coefficients b.")
+    nf: int = preset(4, "Number of coefficients f (OE); an integrator counts as one.")
+    nk: int = preset(1, "Delay from u to y, in samples.")
 
 
 ModelOrders = Annotated[dict[str, Any], group(_ModelOrders, made=dict)]

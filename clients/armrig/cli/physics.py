@@ -13,36 +13,36 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import numpy as np
 import typer
 from armrig_core.errors import InputError
-from armrig_core.process.options import chosen, option
+from armrig_core.process.options import option, preset
 from armrig_core.rig.calibration import ALPHA, THETA_1, ChannelName
 
 import armrig
 from armrig.cli import recorded_data
-from armrig.cli.next_step import say_handout, say_next, typed
+from armrig.cli.next_step import command_line_name, say_handout, say_next
 from armrig.cli.printing import columns, echo, fields_of, say, say_answer, say_more, spinner, tell
-from armrig.cli.results import Draw, Output, Shown, shown
-from armrig.numerics.quantities import digits, error, listed
+from armrig.cli.results import Draw, OutputOptions, Shown, output_group
+from armrig.numerics.quantities import digits, error, join_names
 
 if TYPE_CHECKING:
     from armrig.models.fit import Fit
     from armrig.physics.grey_box.split_study import SplitStudy
-    from armrig.physics.integrators.accuracy import Recommendation, Sinusoid, Solution
+    from armrig.physics.integrators.accuracy import MethodAccuracy, Recommendation, Sinusoid
     from armrig.physics.step_response import Characteristics
 
 
-def _doubted(given: list[str] | None) -> list[str] | None:
+def _check_units(settings: list[str] | None) -> list[str] | None:
     """Return the parameters unchanged; print the parameters that are probably not in SI units."""
-    for name, value in _values(given).items():
+    for name, value in _values(settings).items():
         handout = getattr(armrig.ArmParameters(), name)
         if handout and value > 0 and not 1 / _MAX_RATIO <= value / handout <= _MAX_RATIO:
             tell(
                 f"--set {name}={value:g}: this is {digits(value / handout, 2)} times the value of "
                 f"the handout, {handout:g}; is it in SI units?"
             )
-    return given
+    return settings
 
 
-def _explained_amplitude(volts: float) -> float:
+def _check_amplitude(volts: float) -> float:
     """Return the amplitude unchanged; print a note if it exceeds the rig's largest input."""
     if not abs(volts) <= AMPLITUDE_V:
         tell(
@@ -57,12 +57,12 @@ PARAMETERS = "J_1, J_2, N, K_lin, R_m, K_m or b_1"
 AMPLITUDE_V, OMEGA = 2.5, 10.0
 """Amplitude in V and frequency in rad/s of the sinusoid of handout part 4."""
 OF_CHANGES = option(
-    "--set NAME=VALUE", f"Value of {PARAMETERS}, in SI units; repeatable.", callback=_doubted
+    "--set NAME=VALUE", f"Value of {PARAMETERS}, in SI units; repeatable.", callback=_check_units
 )
 OF_AMPLITUDE = option(
     "--amplitude",
     "Amplitude of the simulated sinusoid, in V.",
-    callback=_explained_amplitude,
+    callback=_check_amplitude,
 )
 OF_OMEGA = option("--omega", "Angular frequency of the sinusoid, in rad/s.")
 Given = Annotated[list[str] | None, OF_CHANGES]
@@ -73,35 +73,39 @@ _MAX_RATIO = 100.0
 """Ratio of a parameter to the handout's value, or the inverse, above which a note is printed."""
 
 
-def parameters(given: list[str] | None) -> armrig.ArmParameters:
+def parameters(settings: list[str] | None) -> armrig.ArmParameters:
     """Return the parameters of the handout with the given changes."""
-    return replace(armrig.ArmParameters(), **_values(given))
+    return replace(armrig.ArmParameters(), **_values(settings))
 
 
-def cases(given: list[str] | None) -> dict[str, armrig.ArmParameters]:
+def cases(settings: list[str] | None) -> dict[str, armrig.ArmParameters]:
     """Return the parameters by case (handout 2.3): no change, each change alone, all changes."""
     from armrig.physics.systems import beside_the_handout
 
-    return beside_the_handout(parameters(given))
+    return beside_the_handout(parameters(settings))
 
 
-def physics_beside(given: list[str] | None) -> dict[str, armrig.ArmParameters]:
+def physics_beside(settings: list[str] | None) -> dict[str, armrig.ArmParameters]:
     """Return the physical models to compare: the handout's model, and the changed model if any."""
     from armrig.physics.systems import HANDOUT
 
     handout = parameters(None)
-    return {HANDOUT: handout, changes(given): parameters(given)} if given else {"physics": handout}
+    return (
+        {HANDOUT: handout, changes(settings): parameters(settings)}
+        if settings
+        else {"physics": handout}
+    )
 
 
-def changes(given: list[str] | None) -> str:
+def changes(settings: list[str] | None) -> str:
     """Return the changes as a label; "" without a change."""
-    return ", ".join(f"{name}={value:g}" for name, value in _values(given).items())
+    return ", ".join(f"{name}={value:g}" for name, value in _values(settings).items())
 
 
-def _values(given: list[str] | None) -> dict[str, float]:
+def _values(settings: list[str] | None) -> dict[str, float]:
     names = [f.name for f in fields(armrig.ArmParameters)]
     values: dict[str, float] = {}
-    for text in given or ():
+    for text in settings or ():
         name, _, number = text.partition("=")
         try:
             value = float(number)
@@ -158,17 +162,17 @@ def greybox(
     *,
     file: recorded_data.File,
     model: OwnModel = None,
-    free: list[str] | None = chosen(None, f"{_FREE}.", "J_1", metavar="NAME"),
-    friction: Literal["viscous", "coulomb", "both"] | None = chosen(
+    free: list[str] | None = preset(None, f"{_FREE}.", "J_1", metavar="NAME"),
+    friction: Literal["viscous", "coulomb", "both"] | None = preset(
         None, "Friction to estimate in addition; the handout neglects friction."
     ),
-    validate: Path | None = chosen(
+    validate: Path | None = preset(
         None,
         "Data to simulate with the estimates.",
         metavar="F",
         parser=recorded_data.recording_path,
     ),
-    given: Given = None,
+    settings: Given = None,
     part: Annotated[recorded_data.SignalChoice, recorded_data.data_group(without="assume")],
     out: Shown,
 ) -> None:
@@ -180,10 +184,10 @@ def greybox(
     from armrig.recordings.usability import emulation
 
     data: Any
-    own = model is not None and model.endswith(".py")
+    from_file = model is not None and model.endswith(".py")
     after = replace(part, signal=None)
-    if model is not None and own:
-        for name, value in (("--set", given), ("--friction", friction)):
+    if model is not None and from_file:
+        for name, value in (("--set", settings), ("--friction", friction)):
             if value:
                 raise typer.BadParameter(
                     f"{name} is for chassis and arm: write the value or the friction into the file"
@@ -201,27 +205,27 @@ def greybox(
         other = None if validate is None else part.of(validate)
         for name in free or ():
             if name not in equations.parameters:
-                known = ", ".join(equations.parameters)
-                raise typer.BadParameter(f"--free {name}: {model} has the parameters {known}")
+                choices = ", ".join(equations.parameters)
+                raise typer.BadParameter(f"--free {name}: {model} has the parameters {choices}")
         held = {k: v for k, v in equations.values.items() if k not in (free or equations.values)}
         with spinner("estimating"):
             fit = armrig.greybox(data, equations, fixed=held)
     else:
-        fixed = parameters(given)
+        fixed = parameters(settings)
         [recording] = recordings = part.recordings(file)
         recorded_data.require_arm(recording)
         model, rig = _rig(recording, cast("Rig | None", model))
-        outputs = recorded_data.recorded_outputs(recording, part.outputs)
-        shown = THETA_1 if THETA_1 in outputs else outputs[0]
-        data = recording.dataset(shown)
+        outputs = recorded_data.recording_outputs(recording, part.outputs)
+        main_output = THETA_1 if THETA_1 in outputs else outputs[0]
+        data = recording.dataset(main_output)
         signals: Any = data if len(outputs) == 1 else recording.signals(outputs)
         other = None
         if validate is not None:
             [second] = part.recordings(validate)
-            other = second.dataset(shown) if len(outputs) == 1 else second.signals(outputs)
+            other = second.dataset(main_output) if len(outputs) == 1 else second.signals(outputs)
         names = tuple(free or ("J_1",))
         with spinner("estimating"):
-            fit = armrig.greybox(signals, rig, names, fixed, shown, friction=friction)
+            fit = armrig.greybox(signals, rig, names, fixed, main_output, friction=friction)
     fit.require_result()
     validation = {} if other is None else _fits_of(fit, other)
 
@@ -233,7 +237,7 @@ def greybox(
                 for name, x in validation.items()
             ]
             record = recorded_data.short_name(cast("Path", validate))
-            say(f"Simulated on {record}, it fits {listed(fits)}.")
+            say(f"Simulated on {record}, it fits {join_names(fits)}.")
         say(repr(fit) if out.verbose else repr(fit).partition("\n")[0])
         for text in emulation(recordings):
             say(text, dim=True)
@@ -248,7 +252,9 @@ def greybox(
         say=say_fit,
         figures=lambda: {"greybox": partial(fit.plot, data)},
         say_next=lambda: (
-            None if own else say_next("split", file=typed(file), given=after.options(data))
+            None
+            if from_file
+            else say_next("split", file=command_line_name(file), given=after.options(data))
         ),
         height=4.5,
     )
@@ -256,15 +262,15 @@ def greybox(
 
 def _fits_of(fit: armrig.GreyFit, data: Any) -> dict[str, dict[str, Any]]:
     """Return fit, rms error and unit of each output, simulated on other data."""
-    signals, found = data.signals(), {}
+    signals, fits = data.signals(), {}
     for name, unit, y, e in zip(
         signals.outputs, signals.units, signals.y.T, fit.errors(data).T, strict=True
     ):
-        known = np.isfinite(e)
-        share = np.linalg.norm(e[known]) / np.linalg.norm(y[known] - y[known].mean())
-        rms = float(np.sqrt(np.mean(e[known] ** 2)))
-        found[name] = {"fit_percent": 100 * float(1 - share), "rms_error": rms, "unit": unit}
-    return found
+        valid = np.isfinite(e)
+        share = np.linalg.norm(e[valid]) / np.linalg.norm(y[valid] - y[valid].mean())
+        rms = float(np.sqrt(np.mean(e[valid] ** 2)))
+        fits[name] = {"fit_percent": 100 * float(1 - share), "rms_error": rms, "unit": unit}
+    return fits
 
 
 def own_equations(path: Path) -> armrig.Ode:
@@ -298,15 +304,15 @@ def _grey_facts(fit: armrig.GreyFit) -> dict[str, Any]:
 def split(
     *,
     file: recorded_data.File,
-    parts: str = chosen(
+    parts: str = preset(
         "1,2,4", "Numbers of parts into which the recording is cut.", metavar="K,…"
     ),
     model: Model = None,
-    free: list[str] | None = chosen(
+    free: list[str] | None = preset(
         None, f"{_FREE}; estimates of the first parameter are compared.", "J_1", metavar="NAME"
     ),
-    given: Given = None,
-    signal: ChannelName = chosen(THETA_1, "Output to fit."),
+    settings: Given = None,
+    signal: ChannelName = preset(THETA_1, "Output to fit."),
     part: recorded_data.Part,
     out: Shown,
 ) -> None:
@@ -315,7 +321,7 @@ def split(
     The command shows whether the estimates from halves and quarters agree within their standard
     deviations.
     """
-    cuts, fixed = _cuts(parts), parameters(given)
+    cuts, fixed = _cuts(parts), parameters(settings)
     [recording] = part.recordings(file)
     recorded_data.require_arm(recording)
     data = recording.dataset(signal)
@@ -351,12 +357,12 @@ def _split_facts(study: SplitStudy) -> dict[str, Any]:
 def simulate(
     *,
     file: recorded_data.File,
-    model: list[Path] | None = chosen(
+    model: list[Path] | None = preset(
         None, "Additional model file to simulate; repeatable.", metavar="JSON"
     ),
-    given: Given = None,
+    settings: Given = None,
     part: recorded_data.Part,
-    out: Annotated[Output, shown("json", "plot", "verbose")],
+    out: Annotated[OutputOptions, output_group("json", "plot", "verbose")],
 ) -> None:
     """Simulate saved models, and the arm (handout 3.4).
 
@@ -366,19 +372,20 @@ def simulate(
 
     recording = part.recordings(file)[0]
     data, described = recording.dataset(), recording.description
-    if not described.arm and (given or not model):
+    if not described.arm and (settings or not model):
         raise InputError(
-            f"{typed(file)} is of the rig '{described.title}', and the physical model with its "
+            f"{command_line_name(file)} is of the rig '{described.title}', and the physical "
+            "model with its "
             "--set is the arm's: give --model JSON, a model that `armrig identify --save` wrote"
         )
-    physics = physics_beside(given) if described.arm else {}
+    physics = physics_beside(settings) if described.arm else {}
     saved = map(armrig.load_fit, model or ())
     fits: list[Fit] = [fit if (fit.ny, fit.nu) == (1, 1) else fit[data.output] for fit in saved]
     fits += [armrig.physical_model(p, data) for p in physics.values()]
     labels = [*(path.stem for path in model or ()), *physics]
     with spinner("simulating"):
         table = armrig.compare(data, *fits, labels=labels)
-    where = f"on {typed(file)}" + (f"; {table.note}" if out.verbose else "")
+    where = f"on {command_line_name(file)}" + (f"; {table.note}" if out.verbose else "")
     out.show(
         facts=lambda: {
             "recording": data.source,
@@ -386,7 +393,7 @@ def simulate(
         },
         say=lambda: model_output.print_comparison(table, where, verbose=out.verbose),
         figures=lambda: {"compare": table.plot},
-        say_next=lambda: say_next("check", file=typed(file), given=part.options(data)),
+        say_next=lambda: say_next("check", file=command_line_name(file), given=part.options(data)),
     )
 
 
@@ -397,9 +404,11 @@ def _rig(recording: armrig.Recording, model: Rig | None) -> tuple[Rig, Any]:
     moves = second_moves(recording)
     seen: Rig = "arm" if moves else "chassis"
     if model is not None and model != seen:
-        what = "alpha moves: the arm was attached" if moves else "alpha rests: the arm was removed"
+        evidence = (
+            "alpha moves: the arm was attached" if moves else "alpha rests: the arm was removed"
+        )
         raise InputError(
-            f"{recording.path}: --model {model}, but {what}; leave --model out, or record the "
+            f"{recording.path}: --model {model}, but {evidence}; leave --model out, or record the "
             f"{model} (`armrig collect greybox` is for the chassis alone)"
         )
     return seen, armrig.arm if moves else armrig.chassis
@@ -430,42 +439,46 @@ _MAX_STEPS = 2_000_000
 _STATE = 2  # the speed, which stays bounded while the angle grows
 
 
-def model(given: Given = None, *, out: Annotated[Output, shown("verbose", "plot", "json")]) -> None:
+def model(
+    settings: Given = None,
+    *,
+    out: Annotated[OutputOptions, output_group("verbose", "plot", "json")],
+) -> None:
     """Show what the physical model predicts (handout 2.1 to 2.3).
 
     The command prints A, B, poles, zeros, steady speed and initial slope. With --set, it compares
     the handout's parameters, each change alone and, if there are several changes, all changes
     together.
     """
-    compared = cases(given)
-    found = {name: armrig.characteristics(p) for name, p in compared.items()}
+    compared = cases(settings)
+    predictions = {name: armrig.characteristics(p) for name, p in compared.items()}
     out.show(
-        facts=lambda: {"models": {name: _model_facts(one) for name, one in found.items()}},
-        say=lambda: _say_model(found, given, verbose=out.verbose),
+        facts=lambda: {"models": {name: _model_facts(one) for name, one in predictions.items()}},
+        say=lambda: _say_model(predictions, settings, verbose=out.verbose),
         figures=lambda: _model_figures(compared),
-        say_next=lambda: say_next("lab" if given else "model"),
+        say_next=lambda: say_next("lab" if settings else "model"),
     )
 
 
 def _say_model(
-    found: dict[str, Characteristics], given: list[str] | None, *, verbose: bool
+    predictions: dict[str, Characteristics], texts: list[str] | None, *, verbose: bool
 ) -> None:
-    last = [*found.values()][-1]
-    simulated, changed = _simulated(last.parameters), changes(given)
+    last = [*predictions.values()][-1]
+    simulated, changed = _simulate_step(last.parameters), changes(texts)
     say(f"A and B with {changed or 'the parameters of the handout'}:")
-    echo(f"{_state_space(last.parameters)}\n\n{_model_table(found)}\n")
+    echo(f"{_state_space(last.parameters)}\n\n{_model_table(predictions)}\n")
     say(
-        f"A step of 1 V, simulated{f' with {changed}' * bool(given)}: the speed begins to rise by "
+        f"A step of 1 V, simulated{f' with {changed}' * bool(texts)}: the speed begins to rise by "
         f"{simulated['slope']:.2f} rad/s² and is {simulated['speed']:.4f} rad/s after "
         f"{simulated['seconds']:g} s. At t = 0 the chassis rests, so there is no back-EMF, and the "
         "spring has no tension: the torque accelerates J_1."
     )
-    _say_later_rises(found, given)
+    _say_later_rises(predictions, texts)
     if verbose:
         say(f"\n{last.explain()}")
 
 
-def _simulated(p: armrig.ArmParameters) -> dict[str, float]:
+def _simulate_step(p: armrig.ArmParameters) -> dict[str, float]:
     """Return the slope at t = 0 in rad/s², the last speed in rad/s and its time after a step."""
     import numpy as np
 
@@ -476,18 +489,18 @@ def _simulated(p: armrig.ArmParameters) -> dict[str, float]:
     return {"slope": slope, "speed": float(speed[-1]), "seconds": _SECONDS}
 
 
-def _say_later_rises(found: dict[str, Characteristics], given: list[str] | None) -> None:
+def _say_later_rises(predictions: dict[str, Characteristics], settings: list[str] | None) -> None:
     """Print the models whose speed crosses 63 % of its steady value only after the first rise."""
     import numpy as np
 
     from armrig.physics.step_response import step_response
 
-    for name, p in found.items():
+    for name, p in predictions.items():
         t = np.linspace(0.0, p.rise_time if isfinite(p.rise_time) else 0.0, 1001)
         if np.diff(step_response(p.parameters, t)).min() < 0:
-            of = changes(given) if name in _TOGETHER else name
+            label = changes(settings) if name in _TOGETHER else name
             rises = "the first rise of the speed ends below 63 %, a later rise crosses 63 %"
-            say(f"63 % time of {of}: {rises}.")
+            say(f"63 % time of {label}: {rises}.")
 
 
 def _state_space(p: armrig.ArmParameters) -> str:
@@ -502,13 +515,13 @@ def _state_space(p: armrig.ArmParameters) -> str:
     return "\n".join(lines)
 
 
-def _model_table(found: dict[str, Characteristics]) -> str:
+def _model_table(predictions: dict[str, Characteristics]) -> str:
     """Return a table with a column for each model; five columns fit into 80 characters."""
     from armrig.physics.step_response import root_texts
 
     of_models = [["", "steady [rad/s/V]", "slope [rad/s²/V]", *_TIMES.values()]]
     of_models[0] += ["poles [1/s]", "", "", "zeros [1/s]"]
-    for name, p in found.items():
+    for name, p in predictions.items():
         poles = root_texts(p.poles, 2)
         poles += [""] * (3 - len(poles))
         times = [f"{getattr(p, time):.4f}" for time in _TIMES]
@@ -528,7 +541,7 @@ def _model_facts(p: Characteristics) -> dict[str, Any]:
         "B": B,
         **fields_of(p, "steady_speed initial_slope rigid_slope poles zeros"),
         **{time: getattr(p, time) for time in _TIMES},
-        "simulated": _simulated(p.parameters),
+        "simulated": _simulate_step(p.parameters),
     }
 
 
@@ -540,21 +553,21 @@ def _model_figures(compared: dict[str, armrig.ArmParameters]) -> dict[str, Draw]
 
 def integrate(
     *,
-    method: list[str] | None = chosen(
+    method: list[str] | None = preset(
         None,
         "Method: forward_euler, ab2, trapezoidal, heun or midpoint; repeatable.",
         "all methods",
     ),
-    h: list[float] | None = chosen(
+    h: list[float] | None = preset(
         None, "Step size, in s; repeatable.", "the recommended step", metavar="S"
     ),
     omega: Omega = OMEGA,
     amplitude: Amplitude = AMPLITUDE_V,
-    span: float | None = chosen(
+    span: float | None = preset(
         None, "Length of the solution, in s.", "three periods", metavar="S"
     ),
-    tolerance: float = chosen(1e-3, "Largest relative error of a recommended step."),
-    out: Annotated[Output, shown("json", "plot", "verbose")],
+    tolerance: float = preset(1e-3, "Largest relative error of a recommended step."),
+    out: Annotated[OutputOptions, output_group("json", "plot", "verbose")],
 ) -> None:
     """Solve the arm's equations numerically (handout 4).
 
@@ -564,12 +577,12 @@ def integrate(
 
     A, B, _ = arm_matrices(armrig.ArmParameters())
     problem = armrig.sinusoid(A, B, amplitude=amplitude, omega=omega, span=span)
-    rows, advice = _solved(problem, method or (), h or (), tolerance)
+    rows, advice = _solve(problem, method or (), h or (), tolerance)
 
     def say_after() -> None:
-        given = "" if omega == OMEGA else f" --omega {omega:g}"
-        given += "" if amplitude == AMPLITUDE_V else f" --amplitude {amplitude:g}"
-        say_handout(sinusoid=given)
+        options = "" if omega == OMEGA else f" --omega {omega:g}"
+        options += "" if amplitude == AMPLITUDE_V else f" --amplitude {amplitude:g}"
+        say_handout(sinusoid=options)
 
     out.show(
         facts=lambda: (
@@ -583,11 +596,11 @@ def integrate(
     )
 
 
-def _solved(
+def _solve(
     problem: Sinusoid, methods: Sequence[str], steps: Sequence[float], tolerance: float
-) -> tuple[Sequence[Solution], Recommendation | None]:
+) -> tuple[Sequence[MethodAccuracy], Recommendation | None]:
     """Return the solutions of the methods, by default all, and the recommended steps if any."""
-    from armrig.physics.integrators.accuracy import Solution, all_methods
+    from armrig.physics.integrators.accuracy import MethodAccuracy, all_methods
 
     names = all_methods(tuple(methods) or None)
     for h in steps:
@@ -596,13 +609,13 @@ def _solved(
         if steps:
             limits = {m: armrig.stability_limit(problem.A, m) for m in names}
             return [
-                Solution(method=m, h=h, limit=limits[m], error=problem.error(h, m))
+                MethodAccuracy(method=m, h=h, limit=limits[m], error=problem.error(h, m))
                 for m in names
                 for h in steps
             ], None
-        given = fields_of(problem, "omega amplitude span")
+        arguments = fields_of(problem, "omega amplitude span")
         advice = armrig.recommend_step(
-            problem.A, problem.B, tolerance=tolerance, methods=names, **given
+            problem.A, problem.B, tolerance=tolerance, methods=names, **arguments
         )
     return sorted(advice.rows, key=lambda row: names.index(row.method)), advice
 
@@ -621,21 +634,25 @@ def _check_step(h: float, problem: Sinusoid) -> None:
 
 
 def _solution_figures(
-    problem: Sinusoid, rows: Sequence[Solution], *, each_step: bool
+    problem: Sinusoid, rows: Sequence[MethodAccuracy], *, each_step: bool
 ) -> dict[str, Draw]:
     """Return functions that draw all solutions; with `each_step`, a function for each step."""
     from armrig.physics.integrators.figures import plot_solution
 
     steps = [{row.method: row.h for row in rows}]
     if each_step:
-        given = dict.fromkeys(row.h for row in rows)
-        steps = [{row.method: row.h for row in rows if row.h == h} for h in given]
+        step_sizes = dict.fromkeys(row.h for row in rows)
+        steps = [{row.method: row.h for row in rows if row.h == h} for h in step_sizes]
     draw = partial(plot_solution, problem, state=_STATE, label="speed [rad/s]")
     return {f"solution_{k}": partial(draw, h) for k, h in enumerate(steps, 1)}
 
 
 def _say_solutions(
-    problem: Sinusoid, rows: Sequence[Solution], advice: Recommendation | None, *, verbose: bool
+    problem: Sinusoid,
+    rows: Sequence[MethodAccuracy],
+    advice: Recommendation | None,
+    *,
+    verbose: bool,
 ) -> None:
     if advice is not None:
         best = advice.rows[0]

@@ -18,8 +18,6 @@ from armrig_core.errors import OperationError
 from armrig_core.process.journal import log_prefix
 from armrig_core.process.printable import brief, json_printable, printable, with_degrees
 
-from armrig.estimation.request import too_high
-
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -48,8 +46,8 @@ def tell_findings(findings: Iterable[Any]) -> None:
 def inform(message: str, **style: bool) -> None:
     """Print news for the user on standard error, as a single line, in a style of `say`."""
     with suppress(OSError):  # the terminal may be closed
-        line = folded(_for_terminal(brief(" ".join(message.split()))), _columns(sys.stderr))
-        typer.echo(_styled(line, sys.stderr, style), err=True)
+        line = fold(_for_terminal(brief(" ".join(message.split()))), _columns(sys.stderr))
+        typer.echo(_style_text(line, sys.stderr, style), err=True)
 
 
 def tell_error(message: str) -> None:
@@ -64,16 +62,16 @@ def say(text: str, **style: bool) -> None:
 
     A terminal shows the text in a style, such as `bold=True` or `dim=True`.
     """
-    text = _for_terminal(folded(text, _columns(sys.stdout)), keep="\n")
-    typer.echo(_styled(text, sys.stdout, style))
+    text = _for_terminal(fold(text, _columns(sys.stdout)), keep="\n")
+    typer.echo(_style_text(text, sys.stdout, style))
 
 
 def say_answer(text: str) -> None:
     """Print text as `say` does; the first line, which contains the verdict, is bold."""
-    first, _, rest = text.partition("\n")
+    first, _, details = text.partition("\n")
     say(first, bold=True)
-    if rest:
-        say(rest)
+    if details:
+        say(details)
 
 
 def say_more(contents: str) -> None:
@@ -86,7 +84,7 @@ def takes_styles() -> bool:
     return not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
-def _styled(text: str, stream: TextIO, style: dict[str, bool]) -> str:
+def _style_text(text: str, stream: TextIO, style: dict[str, bool]) -> str:
     """Return the text in a style if the stream is a terminal; otherwise return it unchanged."""
     return typer.style(text, **style) if style and stream.isatty() and takes_styles() else text
 
@@ -108,7 +106,7 @@ def _for_terminal(text: str, keep: str = "") -> str:
 def question(text: str) -> str:
     """Return a question, folded into lines; the last line leaves room for the answer."""
     columns = _columns(sys.stderr)
-    return folded(text, columns - _ANSWER_WIDTH, indent=0) if columns > 2 * _ANSWER_WIDTH else text
+    return fold(text, columns - _ANSWER_WIDTH, indent=0) if columns > 2 * _ANSWER_WIDTH else text
 
 
 def agree(text: str, *, yes: bool) -> None:
@@ -123,7 +121,7 @@ def agree(text: str, *, yes: bool) -> None:
         raise OperationError("nothing was done")
 
 
-def folded(text: str, columns: int, indent: int | None = None) -> str:
+def fold(text: str, columns: int, indent: int | None = None) -> str:
     """Return the text with lines of at most `columns` characters, broken at blanks.
 
     A width of 0 leaves the text as it is. The indent of continuation lines is by default two more
@@ -133,12 +131,12 @@ def folded(text: str, columns: int, indent: int | None = None) -> str:
         return text
     lines = []
     for line in text.splitlines():
-        own = len(line) - len(line.lstrip())
-        rest = min(own + 2 if indent is None else indent, columns // 2)
+        line_indent = len(line) - len(line.lstrip())
+        next_indent = min(line_indent + 2 if indent is None else indent, columns // 2)
         lines += textwrap.wrap(
             line,
             columns,
-            subsequent_indent=" " * rest,
+            subsequent_indent=" " * next_indent,
             break_long_words=False,
             break_on_hyphens=False,
         ) or [""]
@@ -222,11 +220,11 @@ def print_table(*rows: tuple[str, str], verdict: bool = False) -> None:
     width = max(len(name) for name, _ in rows)
     columns = _columns(sys.stdout)
     for i, (name, value) in enumerate(rows):
-        line = folded(_for_terminal(f"{name:{width}}  {value}"), columns, indent=width + 2)
-        typer.echo(_styled(line, sys.stdout, {"bold": True} if verdict and not i else {}))
+        line = fold(_for_terminal(f"{name:{width}}  {value}"), columns, indent=width + 2)
+        typer.echo(_style_text(line, sys.stdout, {"bold": True} if verdict and not i else {}))
 
 
-def warned(recording: Any) -> Any:
+def report_damage(recording: Any) -> Any:
     """Return the recording, and print its damage."""
     if recording.truncated:
         unfinished = recording.path.suffix == ".active"
@@ -254,12 +252,14 @@ def estimating(orders: str) -> Iterator[Count]:
         try:
             yield count
         except np.linalg.LinAlgError as err:
+            from armrig.estimation.request import too_high
+
             raise too_high(orders) from err
 
 
 @contextmanager
 def spinner(
-    what: str, console: Console | None = None, after_s: float = MIN_WAIT_S
+    activity: str, console: Console | None = None, after_s: float = MIN_WAIT_S
 ) -> Iterator[Count]:
     """Show a spinner after `after_s` if standard error is a terminal.
 
@@ -271,21 +271,25 @@ def spinner(
 
     console = console or Console(stderr=True)
     if not console.is_terminal:
-        with _progress_lines(what) as tell_count:
+        with _progress_lines(activity) as tell_count:
             yield tell_count
         return
     waiting = SpinnerColumn(), TextColumn("{task.description} …", markup=False)
-    shown = Progress(*waiting, console=console, transient=True)
-    task = shown.add_task(what, total=None, left="")
+    progress = Progress(*waiting, console=console, transient=True)
+    task = progress.add_task(activity, total=None, left="")
     begun = monotonic()
 
     def count(done: int, total: int, name: str) -> None:
-        shown.columns = (*waiting, BarColumn(30), TextColumn("{task.fields[left]}", markup=False))
+        progress.columns = (
+            *waiting,
+            BarColumn(30),
+            TextColumn("{task.fields[left]}", markup=False),
+        )
         left = remaining(done, total, monotonic() - begun)
-        doing = f"{what} {printable(name)}" if name else what
-        shown.update(task, completed=done, total=total, description=doing, left=left)
+        doing = f"{activity} {printable(name)}" if name else activity
+        progress.update(task, completed=done, total=total, description=doing, left=left)
 
-    timer = Timer(after_s, shown.start)
+    timer = Timer(after_s, progress.start)
     timer.daemon = True
     timer.start()
     try:
@@ -293,12 +297,12 @@ def spinner(
     finally:
         timer.cancel()
         timer.join()
-        if shown.live.is_started:  # otherwise a dumb terminal would print an empty line
-            shown.stop()
+        if progress.live.is_started:  # otherwise a dumb terminal would print an empty line
+            progress.stop()
 
 
 @contextmanager
-def _progress_lines(what: str) -> Iterator[Count]:
+def _progress_lines(activity: str) -> Iterator[Count]:
     """Print a line with the progress every `PROGRESS_INTERVAL_S`, once an item is counted."""
     begun, ended, line = monotonic(), Event(), ""
 
@@ -310,7 +314,7 @@ def _progress_lines(what: str) -> Iterator[Count]:
 
     def count(done: int, total: int, name: str) -> None:
         nonlocal line
-        line = f"{what} {name}: {remaining(done, total, monotonic() - begun)}"
+        line = f"{activity} {name}: {remaining(done, total, monotonic() - begun)}"
         if not thread.ident:
             thread.start()
 

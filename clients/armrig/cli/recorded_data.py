@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 import typer
 from armrig_core.errors import InputError
-from armrig_core.process.options import Group, argument, chosen, group
+from armrig_core.process.options import Group, argument, group, preset
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.telemetry.channels import ARM_OUTPUTS, CHANNELS, INTEGRATING_OUTPUTS
 
 import armrig
 from armrig.cli.options import CalibrationFile, Detrend, From, To
-from armrig.cli.printing import inform, say, spinner, tell, tell_findings, warned
+from armrig.cli.printing import inform, report_damage, say, spinner, tell, tell_findings
 from armrig.cli.results import name_runs
 from armrig.data.files import OTHER_DATA, RECORDING
 from armrig.data.finding import few_samples
 from armrig.data.level import far_from_zero
 from armrig.data.step import DOUBT, MEAN, OTHER_INPUTS, codes_of
 from armrig.data.time_range import between
-from armrig.numerics.quantities import listed, plural
+from armrig.numerics.quantities import join_names, plural
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals, Vector
@@ -44,16 +44,21 @@ def recording_path(text: str) -> Path:
     The line names the recording as later lines do. A name that the user typed in another form
     precedes this name, such as `@last is @monday`.
     """
-    from armrig.recordings.files.recording_names import chosen, contents, name_of, recording_folder
+    from armrig.recordings.files.recording_names import (
+        contents,
+        find_recording,
+        name_of,
+        recording_folder,
+    )
 
     if not text.startswith("@"):
         _check_bare_name(Path(text))
         return Path(text)
-    found = chosen(text, recording_folder())
-    name = name_of(found.path)
+    recording = find_recording(text, recording_folder())
+    name = name_of(recording.path)
     which = f"{text}:" if name == text else f"{text} is {name},"
-    inform(f"{which} {contents(found)}", dim=True)
-    return found.path
+    inform(f"{which} {contents(recording)}", dim=True)
+    return recording.path
 
 
 def _check_bare_name(path: Path) -> None:
@@ -86,23 +91,23 @@ _DIGITS = 12  # of a number in a command line
 class DataOptions:
     """Options that choose and treat the data of a command."""
 
-    input: str | None = chosen(
+    input: str | None = preset(
         None,
         "Column of the input in other data: its name, or its number from 1.",
         "u",
         metavar="NAME",
     )
-    signal: str | None = chosen(
+    signal: str | None = preset(
         None,
         "Output: a channel of the rig, or its rate; in other data, the column's name, or its "
         "number from 1.",
         "the first channel, in other data y",
         metavar="NAME",
     )
-    Ts: float | None = chosen(None, "Sampling time of other data, in s.", "from the times")
+    Ts: float | None = preset(None, "Sampling time of other data, in s.", "from the times")
     detrend: Detrend = False
-    hampel: bool = chosen(False, "Mark single outliers of the output as missing.")
-    assume: Assumption | None = chosen(
+    hampel: bool = preset(False, "Mark single outliers of the output as missing.")
+    assume: Assumption | None = preset(
         None,
         "Kind of the output: integrating, if it is the integral of its rate, or settling.",
         "a test of the data decides",
@@ -138,25 +143,26 @@ _IS = ("is", "are")
 
 def names(option: str, text: str | None) -> tuple[str, ...]:
     """Return the names in a text with commas; refuse empty and repeated names."""
-    found = tuple(name.strip() for name in text.split(",")) if text else ()
-    if "" in found:
+    parts = tuple(name.strip() for name in text.split(",")) if text else ()
+    if "" in parts:
         raise typer.BadParameter(f"{option} {text}: a name is empty; give names with commas, A,B")
-    if repeated := [name for name in dict.fromkeys(found) if found.count(name) > 1]:
+    if repeated := [name for name in dict.fromkeys(parts) if parts.count(name) > 1]:
         raise typer.BadParameter(f"{option} {text}: {repeated[0]} is repeated; name it once")
-    return found
+    return parts
 
 
 @contextmanager
 def _importable(file: Path, roles: Sequence[str]) -> Iterator[None]:
     """Add the line of `armrig import` to the error of a file that needs an option of reading."""
     from armrig.data.files.table import ReadingError
+    from armrig.recordings.files.imports import name_of_import
 
     try:
         yield
     except ReadingError as err:
-        from armrig.recordings.files.imports import import_of, imported_as
+        from armrig.recordings.files.imports import import_of
 
-        if name := imported_as(hashlib.sha256(file.read_bytes()).hexdigest()):
+        if name := name_of_import(hashlib.sha256(file.read_bytes()).hexdigest()):
             raise InputError(f"{file} was imported as {name}: use {name}") from err
         facts = import_of(file) if file.suffix == RECORDING else None
         original = facts.sources[0].name if facts else str(file)
@@ -164,7 +170,7 @@ def _importable(file: Path, roles: Sequence[str]) -> Iterator[None]:
         raise InputError(f"{err}; import the file first: `{' '.join(words)}`") from err
 
 
-def recorded_outputs(recording: armrig.Recording, chosen: Sequence[str]) -> list[str]:
+def recording_outputs(recording: armrig.Recording, chosen: Sequence[str]) -> list[str]:
     """Return the names as outputs of a recording, by default the first; refuse any other name."""
     has = recording.outputs
     if unknown := [name for name in chosen if name not in has]:
@@ -182,13 +188,13 @@ def require_arm(recording: armrig.Recording) -> None:
         )
 
 
-def modelled_outputs(recording: armrig.Recording, model: Fit, chosen: Sequence[str]) -> list[str]:
+def matching_outputs(recording: armrig.Recording, model: Fit, chosen: Sequence[str]) -> list[str]:
     """Return the model's outputs in the model's order; refuse a model of other signals.
 
     If the only output of the model has no name, it is the chosen output, or the first channel.
     """
     if (model.ny, model.nu) == (1, 1) and model.output in UNNAMED:
-        return recorded_outputs(recording, chosen)
+        return recording_outputs(recording, chosen)
     input = recording.description.input.name
     # A rig has one input, so the name of a single input, such as a column's, need not be its name.
     if not set(model.outputs) <= {*recording.outputs} or model.nu != 1:
@@ -200,21 +206,21 @@ def modelled_outputs(recording: armrig.Recording, model: Fit, chosen: Sequence[s
     if chosen and set(chosen) != set(model.outputs):
         raise typer.BadParameter(
             f"--signal {','.join(chosen)}: the model has {plural(model.ny, 'output')}, "
-            f"{listed(model.outputs)}; leave --signal out"
+            f"{join_names(model.outputs)}; leave --signal out"
         )
     return [*model.outputs]
 
 
 def require_as_many(model: Fit, outputs: Sequence[str], inputs: Sequence[str]) -> None:
     """Refuse column names if their number differs from the number of the model's signals."""
-    for option, what, columns, own in (
+    for option, role, columns, model_names in (
         ("--signal", "output", outputs, model.outputs),
         ("--input", "input", inputs, model.inputs),
     ):
-        if columns and len(columns) != len(own):
+        if columns and len(columns) != len(model_names):
             raise typer.BadParameter(
-                f"{option} {','.join(columns)}: the model has {plural(len(own), what)}, "
-                f"{listed(own)}; name a column for each, in this order"
+                f"{option} {','.join(columns)}: the model has {plural(len(model_names), role)}, "
+                f"{join_names(model_names)}; name a column for each, in this order"
             )
 
 
@@ -228,11 +234,14 @@ def as_modelled(
     """
     if isinstance(data, armrig.Dataset):
         # A column that the user named is the model's output.
-        given = named and model.output not in UNNAMED
-        return data.replaced(step=None, output=model.output) if given else data
-    for own, found in ((model.outputs, data.outputs), (model.inputs, data.inputs)):
-        if set(own) != set(found):
-            tell(f"{file}: for the model's {', '.join(own)} the command reads {', '.join(found)}")
+        renames = named and model.output not in UNNAMED
+        return data.replaced(step=None, output=model.output) if renames else data
+    for wanted, columns in ((model.outputs, data.outputs), (model.inputs, data.inputs)):
+        if set(wanted) != set(columns):
+            tell(
+                f"{file}: for the model's {', '.join(wanted)} the command reads "
+                f"{', '.join(columns)}"
+            )
     same_outputs = set(model.outputs) == set(data.outputs)
     same_inputs = set(model.inputs) == set(data.inputs)
     ordered = data.channels(
@@ -247,7 +256,7 @@ def hint_at_means(outputs: Named, inputs: Named, *, may_offset: bool = False) ->
     if far_from_zero([x for _, x in every]):
         along = "estimate a level with --offset, or " if may_offset else ""
         means = ", ".join(f"the mean of {name} is {x.mean():.4g}" for name, x in every)
-        y, u = listed([name for name, _ in outputs]), " = ".join(name for name, _ in inputs)
+        y, u = join_names([name for name, _ in outputs]), " = ".join(name for name, _ in inputs)
         tell(
             f"{means}; if {y} {_IS[len(outputs) > 1]} not 0 at {u} = 0, {along}subtract the means "
             "with --detrend"
@@ -257,7 +266,7 @@ def hint_at_means(outputs: Named, inputs: Named, *, may_offset: bool = False) ->
 def has_level(data: Dataset | Signals) -> bool:
     """Return True if a signal has a level far from 0, which is no angle of the arm."""
     columns = data.signals()
-    every = [*(y for _, y in measured(columns)), *columns.u.T]
+    every = [*(y for _, y in valid_outputs(columns)), *columns.u.T]
     return not from_arm(data) and far_from_zero(every)
 
 
@@ -286,14 +295,14 @@ def short_name(file: Path) -> str:
     return (name_of(file) if file.suffix == RECORDING else "") or str(file)
 
 
-def named(recording: armrig.Recording) -> armrig.Recording:
+def name_recording(recording: armrig.Recording) -> armrig.Recording:
     """Return the recording with the name that the command line gives it."""
     from armrig.recordings.files.recording_names import name_of
 
     return replace(recording, name=name_of(recording.path) or recording.name)
 
 
-def loaded(
+def load_recordings(
     files: Sequence[Path],
     calibration: Path | None,
     start: float | None = None,
@@ -306,13 +315,13 @@ def loaded(
 
     with spinner("reading"):
         recordings = [
-            named(armrig.load(file, calibration, start=start, stop=stop)) for file in files
+            name_recording(armrig.load(file, calibration, start=start, stop=stop)) for file in files
         ]
     name_runs(*recordings)
     # `warned` reports a file that is cut off. The end of a requested range is not an early end.
-    whole = [r for r in recordings if not r.truncated and (start, stop) == (None, None)]
-    tell_findings([*early_ends(whole), *all_doubts(recordings, one_plant=one_plant)])
-    return [warned(recording) for recording in recordings]
+    complete = [r for r in recordings if not r.truncated and (start, stop) == (None, None)]
+    tell_findings([*early_ends(complete), *all_doubts(recordings, one_plant=one_plant)])
+    return [report_damage(recording) for recording in recordings]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -357,9 +366,9 @@ class SignalChoice(DataOptions):
 
         If the user named no output and the output of `data` is not the default, add --signal.
         """
-        signal, found = self.signal, () if data is None else data.signals().outputs
-        if signal is None and len(found) == 1 and found[0] not in (*UNNAMED, self.default):
-            signal = found[0]
+        signal, outputs = self.signal, () if data is None else data.signals().outputs
+        if signal is None and len(outputs) == 1 and outputs[0] not in (*UNNAMED, self.default):
+            signal = outputs[0]
         return "".join(f" {typed}" for typed in replace(self, signal=signal).given())
 
     def of_channel(self, output: str, input: str, data: Dataset | Signals) -> Self:
@@ -399,9 +408,9 @@ class SignalChoice(DataOptions):
             return self.integrator, []
         from armrig.data.treatment.integrating import integration
 
-        given = self.integrator if integrates is None else integrates
+        assumption = self.integrator if integrates is None else integrates
         data = data.signals().dataset()
-        decided = integration(data, given)
+        decided = integration(data, assumption)
         kinds: tuple[Assumption, Assumption] = ("settling", "integrating")
         reason = f"{decided.reason}:" if decided.reason else f"{data.output} is"
         taken = f"{reason} taken as {kinds[decided.integrates]}"
@@ -428,7 +437,7 @@ class SignalChoice(DataOptions):
         imported = import_of(file) if is_recording(file) else None
         is_other = imported is not None or not is_recording(file)
         data = self._table(file, model, imported) if is_other else self.recorded(file, model)
-        return self._treated(file, data, model)
+        return self._treat(file, data, model)
 
     def of_one(self, file: Path) -> Dataset:
         """Return the data of one output and one input, and print their defects."""
@@ -439,7 +448,7 @@ class SignalChoice(DataOptions):
             )
         return self.of(file).signals().dataset()
 
-    def _treated(self, file: Path, data: Dataset | Signals, model: Fit | None) -> Dataset | Signals:
+    def _treat(self, file: Path, data: Dataset | Signals, model: Fit | None) -> Dataset | Signals:
         if _without_means(model) and not self.detrend:
             tell("the model was estimated from data minus their means: validate it with --detrend")
         if self.hampel:
@@ -448,7 +457,8 @@ class SignalChoice(DataOptions):
         return armrig.detrend(data) if self.detrend else data
 
     def _table(self, file: Path, model: Fit | None, imported: Import | None) -> Dataset | Signals:
-        from armrig.estimation.data_faults import swapped
+
+        from armrig.estimation.data_faults import swap_warnings
 
         outputs, inputs = self.outputs, self.inputs
         if model is not None:
@@ -481,11 +491,11 @@ class SignalChoice(DataOptions):
                     "is another signal, rename the column"
                 )
         if isinstance(data, armrig.Dataset):
-            for finding in swapped(data):
+            for finding in swap_warnings(data):
                 tell(f"{file}: {finding.text} (--input, --signal)")
         self._hint_at_means(columns, model)
         data = between(data, self.start, self.stop)
-        for name, y in measured(data.signals()):
+        for name, y in valid_outputs(data.signals()):
             if y.size > 1 and (y == y[0]).all():
                 raise InputError(
                     f"{file}: {name} is constant, {y[0]:.4g}, so it responds to no input; give a "
@@ -498,7 +508,7 @@ class SignalChoice(DataOptions):
             self.detrend or self.offset or _without_means(model) or getattr(model, "offset", False)
         ):
             inputs = list(zip(data.inputs, data.u.T, strict=True))
-            hint_at_means(measured(data), inputs, may_offset=self.offset is not None)
+            hint_at_means(valid_outputs(data), inputs, may_offset=self.offset is not None)
 
     def _read(
         self, file: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]
@@ -515,7 +525,7 @@ class SignalChoice(DataOptions):
 
     def recordings(self, *files: Path) -> list[armrig.Recording]:
         """Return the chosen part of recordings."""
-        return loaded(files, self.calibration, self.start, self.stop)
+        return load_recordings(files, self.calibration, self.start, self.stop)
 
     def recorded(self, file: Path, model: Fit | None) -> Dataset | Signals:
         """Return the data of a recording; the default outputs are the model's.
@@ -530,9 +540,9 @@ class SignalChoice(DataOptions):
         tell_findings(doubts_of_pair(self.read[0], recording) if self.read else ())
         self.read.append(recording)
         if model is None:
-            outputs = recorded_outputs(recording, self.outputs)
+            outputs = recording_outputs(recording, self.outputs)
         else:
-            outputs = modelled_outputs(recording, model, self.outputs)
+            outputs = matching_outputs(recording, model, self.outputs)
         data = recording.dataset(outputs[0]) if len(outputs) == 1 else recording.signals(outputs)
         if self.offset is not None and has_level(data):
             self._hint_at_means(data.signals(), model)
@@ -562,8 +572,8 @@ def each_channel(data: Dataset | Signals) -> Iterator[tuple[Channel, Dataset]]:
     columns = data.signals()
     for output in columns.outputs:
         for input in columns.inputs:
-            one = columns.ny == columns.nu == 1
-            yield () if one else (input, output), columns.dataset(output, input)
+            siso = columns.ny == columns.nu == 1
+            yield () if siso else (input, output), columns.dataset(output, input)
 
 
 def by_channel(test: Callable[[Any], Any], data: Dataset | Signals) -> dict[Channel, Any]:
@@ -574,25 +584,25 @@ def by_channel(test: Callable[[Any], Any], data: Dataset | Signals) -> dict[Chan
             return {(): test(data)}
         except ValueError as err:
             return {(): str(err)}
-    found = test(columns)
-    every = {**found.results, **found.refused}
+    outcome = test(columns)
+    every = {**outcome.results, **outcome.refused}
     return {channel: every[channel[::-1]] for channel, _ in each_channel(data)}
 
 
-def require_result(found: Collection[Any]) -> None:
+def require_result(outcomes: Collection[Any]) -> None:
     """Refuse the data if no channel has a result."""
-    reasons = [one for one in found if isinstance(one, str)]
-    if len(reasons) == len(found):
+    reasons = [outcome for outcome in outcomes if isinstance(outcome, str)]
+    if len(reasons) == len(outcomes):
         raise InputError(reasons[0])
 
 
 def facts_by_channel(
-    data: Dataset | Signals, found: Mapping[Channel, T], facts: Callable[[T], dict[str, Any]]
+    data: Dataset | Signals, outcomes: Mapping[Channel, T], facts: Callable[[T], dict[str, Any]]
 ) -> dict[str, Any]:
     """Return the data's source and the facts of a single channel, or a list with each channel."""
-    if () in found:
-        return source_facts(data) | facts(found[()])
-    named = [{"input": c[0], "output": c[1]} | facts(one) for c, one in found.items()]
+    if () in outcomes:
+        return source_facts(data) | facts(outcomes[()])
+    named = [{"input": c[0], "output": c[1]} | facts(outcome) for c, outcome in outcomes.items()]
     return source_facts(data) | {"channels": named}
 
 
@@ -602,10 +612,10 @@ def say_channel(channel: Channel) -> None:
         say(" to ".join(channel), bold=True)
 
 
-def measured(data: Signals) -> list[tuple[str, Vector]]:
+def valid_outputs(data: Signals) -> list[tuple[str, Vector]]:
     """Return the outputs with their names, without missing values."""
     each = zip(data.outputs, data.y.T, data.valid.T, strict=True)
-    return [(name, y[known]) for name, y, known in each]
+    return [(name, y[valid]) for name, y, valid in each]
 
 
 def from_recording(data: Dataset | Signals) -> bool:

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.errors import InputError
-from armrig_core.process.options import argument, chosen
+from armrig_core.process.options import argument, preset
 from armrig_core.process.printable import printable
 
 import armrig
-from armrig.cli.next_step import OF_KIND, say_next, typed
+from armrig.cli.next_step import OF_KIND, command_line_name, say_next
 from armrig.cli.options import CalibrationFile, From, Json, To
 from armrig.cli.printing import (
     columns,
@@ -26,12 +26,12 @@ from armrig.cli.printing import (
     print_json,
     print_result,
     print_table,
+    report_damage,
     some,
     spinner,
     tell,
-    warned,
 )
-from armrig.cli.recorded_data import File, Part, named
+from armrig.cli.recorded_data import File, Part, name_recording
 from armrig.cli.results import (
     Draw,
     Plot,
@@ -65,10 +65,10 @@ _OPTIONAL = 2  # number of optional columns, which are the last columns
 
 def ls(
     where: Folder = None,
-    count: int = chosen(_DEFAULT_COUNT, "Number of the newest recordings to list.", min=1),
-    every: bool = chosen(False, "List all recordings.", names="--all"),
-    live: bool = chosen(False, "List the rigs that are alive."),
-    connect: str | None = chosen(
+    count: int = preset(_DEFAULT_COUNT, "Number of the newest recordings to list.", min=1),
+    every: bool = preset(False, "List all recordings.", names="--all"),
+    live: bool = preset(False, "List the rigs that are alive."),
+    connect: str | None = preset(
         None,
         "zenoh endpoint of a router or daemon; only with --live.",
         "the configuration's [client] connect, otherwise all rigs of this machine",
@@ -100,48 +100,50 @@ def ls(
 
     folder = where or recording_folder()
     try:
-        found = armrig.catalogue(folder)
+        catalogue = armrig.catalogue(folder)
     except (FileNotFoundError, NotADirectoryError):
         if where is not None:
             raise
-        found = Catalogue(folder=folder, recordings=(), left_out=(), unfinished=())
-    shown = found.recordings if every else found.recordings[:count]
+        catalogue = Catalogue(folder=folder, recordings=(), left_out=(), unfinished=())
+    summaries = catalogue.recordings if every else catalogue.recordings[:count]
     if json:
         left_out = [
             {"recording": path, "why": why, "foreign": is_foreign}
-            for path, why, is_foreign in found.left_out
+            for path, why, is_foreign in catalogue.left_out
         ]
-        facts = {"folder": folder, "recordings": [facts_of(s) for s in shown]}
-        print_json(facts | {"left_out": left_out, "unfinished": found.unfinished})
+        facts = {"folder": folder, "recordings": [facts_of(s) for s in summaries]}
+        print_json(facts | {"left_out": left_out, "unfinished": catalogue.unfinished})
         return
-    answering = answering_among(found.recordings)
+    answering = answering_among(catalogue.recordings)
 
     def name_of(summary: RecordingSummary) -> str:
         # A name such as @last means a recording in the default folder.
         return str(summary.path) if where else short_name(summary, answering)
 
-    if shown:
-        rows = [_row(s, name_of, answering) for s in shown]
+    if summaries:
+        rows = [_row(s, name_of, answering) for s in summaries]
         # An optional column is left out if it is empty, or if all its outcomes are complete.
         kept = [True] * (len(_HEADINGS) - _OPTIONAL)
         kept += [not {row[i] for row in rows} <= {"", COMPLETE.text} for i in range(-_OPTIONAL, 0)]
         # A name is never cut, because a person types it; it does not widen the other rows.
         echo(columns([tuple(compress(row, kept)) for row in (_HEADINGS, *rows)], _MAX_WIDTH))
-    inform(_the_rest(found, len(shown)), dim=True)
-    if shown:
-        newest = shown[0]
-        say_next("info", file=typed(newest.path) if where else short_name(newest, answering))
+    inform(_the_rest(catalogue, len(summaries)), dim=True)
+    if summaries:
+        newest = summaries[0]
+        say_next(
+            "info", file=command_line_name(newest.path) if where else short_name(newest, answering)
+        )
 
 
 def _list_rigs(connect: str | None, *, json: bool) -> None:
     from armrig.rig.status import live_rigs
 
-    where, found = live_rigs(connect)
+    where, replies = live_rigs(connect)
     if json:
-        rigs = [fields_of(r, "rig endpoint status why") for r in found]
+        rigs = [fields_of(r, "rig endpoint status why") for r in replies]
         print_json({"where": where, "rigs": rigs})
         return
-    if not found:
+    if not replies:
         tell(
             f"no rig is alive at {where}: start one with `armrig lab` or `armrigd run`; for a rig "
             "of another machine give its router, --connect tls/HOST:PORT"
@@ -151,7 +153,7 @@ def _list_rigs(connect: str | None, *, json: bool) -> None:
         (r.rig, s.phase, f"{s.Ts:g} s", s.owner or "nobody", s.reason or s.line)
         if (s := r.status) is not None
         else (r.rig, "", "", "", r.why)
-        for r in found
+        for r in replies
     ]
     heading = ("rig", "phase", "Ts", "owner", "")
     echo(columns([heading, *(tuple(map(printable, r)) for r in rows)], _MAX_WIDTH))
@@ -167,7 +169,7 @@ def _row(summary: RecordingSummary, name_of: Naming, answering: Answering) -> tu
         str(summary.missing),
         summary.started[:16].replace("T", " "),
         _short(why),
-        _validated_by(summary, name_of, answering),
+        _estimation_name(summary, name_of, answering),
     )
     return tuple(map(printable, cells))  # a name may have a line break in it
 
@@ -176,7 +178,7 @@ def _short(text: str) -> str:
     return text if len(text) <= _MAX_WIDTH else f"{text[: _MAX_WIDTH - 1]}…"
 
 
-def _validated_by(summary: RecordingSummary, name_of: Naming, answering: Answering) -> str:
+def _estimation_name(summary: RecordingSummary, name_of: Naming, answering: Answering) -> str:
     """Return the estimation recording's name; "" if the validation recording's name contains it."""
     from armrig.recordings.files.recording_names import VALIDATION, short_name
 
@@ -186,26 +188,27 @@ def _validated_by(summary: RecordingSummary, name_of: Naming, answering: Answeri
     return name_of(estimations[0]) if estimations else "not known"
 
 
-def _the_rest(found: Catalogue, shown: int) -> str:
+def _the_rest(catalogue: Catalogue, count: int) -> str:
     """Return a line about the files that are not in the table."""
-    if not (found.recordings or found.left_out or found.unfinished):
-        return f"there are no recordings in {found.folder}; make one with `armrig collect`"
-    parts = [f"in {found.folder}"]
-    if older := len(found) - shown:
+    if not (catalogue.recordings or catalogue.left_out or catalogue.unfinished):
+        return f"there are no recordings in {catalogue.folder}; make one with `armrig collect`"
+    parts = [f"in {catalogue.folder}"]
+    if older := len(catalogue) - count:
         parts.append(f"{plural(older, 'older recording')}: --all")
-    if damaged := [left for left in found.left_out if not left.is_foreign]:
+    if damaged := [left for left in catalogue.left_out if not left.is_foreign]:
         parts.append(f"damaged: {_names(damaged)}; `armrig info FILE` shows the damage")
-    if foreign := [left for left in found.left_out if left.is_foreign]:
+    if foreign := [left for left in catalogue.left_out if left.is_foreign]:
         parts.append(f"not made by armrig: {_names(foreign)}; `armrig hints FILE` lists the topics")
-    if unfinished := len(found.unfinished):
+    if unfinished := len(catalogue.unfinished):
         parts.append(f"{unfinished} being written, or left by a dead daemon: `armrig recover`")
     return "; ".join(parts)
 
 
 def _names(left_out: Sequence[LeftOut]) -> str:
-    from armrig.recordings.files.recording_summary import shown_path
 
-    return some([shown_path(Path(left.path.name)) for left in left_out], _MAX_NAMES)
+    from armrig.recordings.files.recording_summary import path_text
+
+    return some([path_text(Path(left.path.name)) for left in left_out], _MAX_NAMES)
 
 
 TIMING_HEIGHT = 2.8  # of a figure, in inches
@@ -214,27 +217,29 @@ TIMING_HEIGHT = 2.8  # of a figure, in inches
 def info(file: File, part: Part, out: Shown) -> None:
     """Show what a recording contains and how well it was sampled."""
     from armrig.recordings.files.control_run import control_run, own_control_run
-    from armrig.recordings.files.imports import imported_data
+    from armrig.recordings.files.imports import load_import
     from armrig.recordings.overview import contents_facts, contents_rows
 
-    if (data := imported_data(file)) is not None:
+    if (data := load_import(file)) is not None:
         from armrig.cli.imports import import_facts, import_rows
 
         out.show(
             facts=lambda: import_facts(data),
             say=lambda: print_table(
-                *import_rows(data, typed(file), file, verbose=out.verbose), verdict=True
+                *import_rows(data, command_line_name(file), file, verbose=out.verbose), verdict=True
             ),
-            say_next=lambda: say_next("plot", file=typed(file)),
+            say_next=lambda: say_next("plot", file=command_line_name(file)),
         )
         return
-    recording = named(armrig.load(file, part.calibration, start=part.start, stop=part.stop))
+    recording = name_recording(
+        armrig.load(file, part.calibration, start=part.start, stop=part.stop)
+    )
     name_runs(recording)
     run = control_run(recording) or own_control_run(recording)
 
     def say_next_command() -> None:
         if recording.N:
-            say_next("plot", file=typed(file))
+            say_next("plot", file=command_line_name(file))
 
     out.show(
         facts=lambda: contents_facts(recording) | ({"control": run.facts()} if run else {}),
@@ -266,20 +271,20 @@ def replay(file: File, json: Json = False) -> None:
     from armrig.recordings.files.replay import replay as decided_again
 
     require_rig(file, "replay")
-    found = decided_again(file)
+    rerun = decided_again(file)
     if json:
-        print_json(found)
+        print_json(rerun)
     else:
         same = "replay made the same decisions, to the last bit"
-        same += f", up to the end of the file: {found.until}" if found.until else ""
+        same += f", up to the end of the file: {rerun.until}" if rerun.until else ""
         print_table(
-            ("replayed", f"{plural(found.steps, 'step')} of the core over {found.seconds:.3f} s"),
-            ("frames", f"{found.frames} to the device, as recorded"),
-            ("samples", f"{found.samples} as recorded"),
-            *((s.level, f"{s.t:.3f} s: {s.message}") for s in found.said),
-            ("verdict", f"DIFFERS: {found.difference}" if found.difference else same),
+            ("replayed", f"{plural(rerun.steps, 'step')} of the core over {rerun.seconds:.3f} s"),
+            ("frames", f"{rerun.frames} to the device, as recorded"),
+            ("samples", f"{rerun.samples} as recorded"),
+            *((s.level, f"{s.t:.3f} s: {s.message}") for s in rerun.said),
+            ("verdict", f"DIFFERS: {rerun.difference}" if rerun.difference else same),
         )
-    if found.difference:
+    if rerun.difference:
         raise typer.Exit(1)
 
 
@@ -304,28 +309,28 @@ def plot(
     The figure shows u, the channels and their rates. Missing samples and the dead band are shaded,
     and outliers are ringed. A drift is reported in the text.
     """
-    from armrig.recordings.files.imports import imported_data
+    from armrig.recordings.files.imports import load_import
     from armrig.recordings.overview import overview
 
     check_plot(figure, [file])
-    if (data := imported_data(file)) is not None:
+    if (data := load_import(file)) is not None:
         from armrig.data.figures import plot_columns
 
         [written] = write_plot(figure, signals=partial(plot_columns, data), height=7.0)
         if json:
             print_json({"figure": written, "samples": len(data.at)})
         else:
-            say_next("info", file=typed(file))
+            say_next("info", file=command_line_name(file))
         return
     [recording] = part.recordings(file)
     with spinner("looking for outliers and drift"):
-        found = overview(recording)
-    [written] = write_plot(figure, signals=found.plot, height=7.0)
+        summary = overview(recording)
+    [written] = write_plot(figure, signals=summary.plot, height=7.0)
     if json:
-        print_json(found.facts() | {"figure": written})
+        print_json(summary.facts() | {"figure": written})
         return
-    print_table(*found.rows())
-    say_next(OF_KIND.get(recording.manifest.kind, "hints"), file=typed(file))
+    print_table(*summary.rows())
+    say_next(OF_KIND.get(recording.manifest.kind, "hints"), file=command_line_name(file))
 
 
 def verify(file: File, json: Json = False) -> None:
@@ -339,35 +344,36 @@ def verify(file: File, json: Json = False) -> None:
     from armrig.recordings.findings import TOO_FEW
 
     with spinner("checking"):
-        found = verified(file)
+        verification = verified(file)
     if json:
         checks = [
-            {"about": c.about, "result": RESULTS[c.level], "text": c.text} for c in found.checks
+            {"about": c.about, "result": RESULTS[c.level], "text": c.text}
+            for c in verification.checks
         ]
-        facts = {"recording": str(found.path), "sha256": found.sha256}
-        print_json(facts | {"passed": found.passed, "checks": checks})
+        facts = {"recording": str(verification.path), "sha256": verification.sha256}
+        print_json(facts | {"passed": verification.passed, "checks": checks})
     else:
-        print_table(*rows(found), verdict=True)
-    if not found.passed:
-        failed = ", ".join(c.about for c in found.checks if c.level == "unusable")
-        n = found.samples
+        print_table(*rows(verification), verdict=True)
+    if not verification.passed:
+        failed = ", ".join(c.about for c in verification.checks if c.level == "unusable")
+        n = verification.samples
         use = (
             f"its {plural(n, 'sample')} can be used, with care" if n else "it has no usable sample"
         )
         if 0 < n < TOO_FEW:
             use = f"{plural(n, 'sample is', 'samples are')} left, at least {TOO_FEW} are needed"
-        tell(f"{found.path}: failed: {failed}; {use}")
+        tell(f"{verification.path}: failed: {failed}; {use}")
         raise typer.Exit(1)
 
 
 def export(
     file: File,
     out: Annotated[Path, argument("OUT", "File to write.")],
-    transforms: bool = chosen(
+    transforms: bool = preset(
         False, "Write an MCAP file with the poses of the arm for Foxglove's 3D panel."
     ),
-    raw: bool = chosen(False, "Include the readings and times as recorded."),
-    signal: str | None = chosen(
+    raw: bool = preset(False, "Include the readings and times as recorded."),
+    signal: str | None = preset(
         None, "Signal that becomes y in the MAT-file.", "the first channel", metavar="NAME"
     ),
     start: From = None,
@@ -390,7 +396,7 @@ def export(
         write_mat,
         write_parquet,
     )
-    from armrig.recordings.files.imports import imported_data
+    from armrig.recordings.files.imports import load_import
 
     writers: dict[str, Callable[..., Any]] = {
         ".csv": partial(write_csv, raw=raw),
@@ -403,7 +409,7 @@ def export(
             f"{out}: give a name that ends in .csv, .mat or .parquet, or --transforms"
         )
     check_output(out, [file])
-    if (data := imported_data(file)) is not None:
+    if (data := load_import(file)) is not None:
         if transforms or raw or signal or calibration or (start, stop) != (None, None):
             raise InputError("imported data are exported whole: leave the options out")
         with spinner("writing"), whole_file(out):
@@ -416,11 +422,11 @@ def export(
         )
         return
     with spinner("reading"):
-        recording = named(armrig.load(file, calibration, start=start, stop=stop))
+        recording = name_recording(armrig.load(file, calibration, start=start, stop=stop))
     if signal is not None and signal not in recording.channels:
         has = ", ".join(recording.channels)
         raise typer.BadParameter(f"--signal {signal}: the recording has {has}")
-    warned(recording)
+    report_damage(recording)
     with spinner("writing"), whole_file(out):
         write(recording, out)
     facts = {"file": out, "samples": recording.N, "recording": recording.sha256}
@@ -482,10 +488,10 @@ def recover(where: Where = None, json: Json = False) -> None:
 
 def _files(where: list[Path]) -> Iterator[tuple[Path, bool]]:
     """Yield each unfinished file, and True if the user named the file and not its folder."""
-    from armrig_core.recording_file.unfinished import unfinished
+    from armrig_core.recording_file.unfinished import unfinished_files
 
     for path in where:
         if path.is_dir():
-            yield from ((file, False) for file in unfinished(path))
+            yield from ((file, False) for file in unfinished_files(path))
         else:
             yield path, True

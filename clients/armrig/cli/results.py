@@ -48,14 +48,14 @@ def name_runs(*recordings: armrig.Recording) -> None:
     recording, the name of the estimation recording is also stored if it is in the same folder.
     """
     for r in recordings:
-        _RUNS[r.sha256] = _shown_name(r.path, r.manifest.run_id)
-        of = str(r.manifest.details.get("validation_of", ""))
-        if of.isalnum():
-            paths = r.path.parent.glob(f"*-{of}.mcap")
-            _ESTIMATION.update((path, _shown_name(path, of)) for path in paths)
+        _RUNS[r.sha256] = _run_label(r.path, r.manifest.run_id)
+        estimation_id = str(r.manifest.details.get("validation_of", ""))
+        if estimation_id.isalnum():
+            paths = r.path.parent.glob(f"*-{estimation_id}.mcap")
+            _ESTIMATION.update((path, _run_label(path, estimation_id)) for path in paths)
 
 
-def _shown_name(path: Path, run_id: str) -> str:
+def _run_label(path: Path, run_id: str) -> str:
     from armrig.recordings.files.recording_names import name_of
 
     return name_of(path).removeprefix("@") or run_id
@@ -66,9 +66,9 @@ def _runs() -> dict[str, str]:
     from hashlib import file_digest
 
     runs = dict(_RUNS)
-    for path, of in _ESTIMATION.items():
+    for path, name in _ESTIMATION.items():
         with suppress(OSError), path.open("rb") as file:
-            runs[file_digest(file, "sha256").hexdigest()] = of
+            runs[file_digest(file, "sha256").hexdigest()] = name
     return runs
 
 
@@ -122,12 +122,13 @@ def write_plot(
     the subject's name. The axes of a subject have a width and a height in inches. By default the
     figure has enough columns to fit on a screen.
     """
+    from armrig.plots.captions import name_by_run
+
     if path is None:
         return []
     if not draw:
         tell(f"{path}: not written, because there is nothing to draw; the text gives the values")
         return []
-    from armrig.plots.captions import named_by_run
     from armrig.plots.layout import save
 
     figures = {path: list(draw.values())}
@@ -135,20 +136,21 @@ def write_plot(
         path.parent.mkdir(exist_ok=True)
         names = (subject.replace("_", "-") for subject in draw)
         figures = {
-            path.with_stem(name): [one] for name, one in zip(names, draw.values(), strict=True)
+            path.with_stem(name): [function]
+            for name, function in zip(names, draw.values(), strict=True)
         }
         for file in figures:
             check_output(file, ())
     replaced = [str(file) for file in figures if file.exists()]
-    with spinner("drawing"), named_by_run(_runs()):
+    with spinner("drawing"), name_by_run(_runs()):
         for file, subjects in figures.items():
-            save(_drawn(subjects, height, width, columns), file, dpi=_DPI)
-    said = f"figure{'s' if len(figures) > 1 else ''}: {', '.join(map(str, figures))}"
-    inform(said + (f"; replaced: {', '.join(replaced)}" if replaced else ""), dim=True)
+            save(_draw_figure(subjects, height, width, columns), file, dpi=_DPI)
+    message = f"figure{'s' if len(figures) > 1 else ''}: {', '.join(map(str, figures))}"
+    inform(message + (f"; replaced: {', '.join(replaced)}" if replaced else ""), dim=True)
     return list(figures)
 
 
-def _drawn(
+def _draw_figure(
     subjects: Sequence[Draw], height: float, width: float, columns: int | None = None
 ) -> Figure:
     """Return a figure of all subjects; fewer subjects in the first row share its whole width."""
@@ -167,25 +169,25 @@ def _drawn(
         row, column = (0, k) if k < first else divmod(k - first + columns, columns)
         n = cells // (columns if row else first)
         places.append(figure.add_subplot(grid[row, n * column : n * (column + 1)]))
-    for ax, one in zip(places, subjects, strict=True):
-        one(ax=ax)
+    for ax, draw in zip(places, subjects, strict=True):
+        draw(ax=ax)
     return figure
 
 
 def figures_by_channel(
-    found: Mapping[tuple[str, ...], T], figures: Callable[[T], Mapping[str, Draw]]
+    outcomes: Mapping[tuple[str, ...], T], figures: Callable[[T], Mapping[str, Draw]]
 ) -> dict[str, Draw]:
     """Return the functions that draw each channel's result; panels show the channel's name."""
     drawn: dict[str, Draw] = {}
-    for channel, one in found.items():
+    for channel, outcome in outcomes.items():
         name = " to ".join(channel)
-        for subject, draw in figures(one).items():
+        for subject, draw in figures(outcome).items():
             key = "_".join([subject, *name.split()])
-            drawn[key] = partial(_named, name, draw) if channel else draw
+            drawn[key] = partial(_draw_with_name, name, draw) if channel else draw
     return drawn
 
 
-def _named(name: str, draw: Draw, *, ax: Axes) -> None:
+def _draw_with_name(name: str, draw: Draw, *, ax: Axes) -> None:
     from armrig.plots.layout import drawable
 
     draw(ax=ax)
@@ -236,7 +238,7 @@ def whole_file(out: Path) -> Iterator[None]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Output:
+class OutputOptions:
     """Options of a command that choose the form of its result."""
 
     json: Json = False
@@ -278,12 +280,12 @@ class Output:
             say_next()
 
 
-def shown(*names: str) -> Group:
-    """Return options of `Output` in the order of the help; the figure is checked at the start."""
-    return group(Output, names, check=lambda out, inputs: check_plot(out.plot, inputs))
+def output_group(*names: str) -> Group:
+    """Return options of `OutputOptions` in the order of the help; the figure is checked first."""
+    return group(OutputOptions, names, check=lambda out, inputs: check_plot(out.plot, inputs))
 
 
-Shown = Annotated[Output, shown("json", "verbose", "plot")]
+Shown = Annotated[OutputOptions, output_group("json", "verbose", "plot")]
 """Options --json, --verbose and -o."""
-ShownFigure = Annotated[Output, shown("plot", "json", "verbose")]
+ShownFigure = Annotated[OutputOptions, output_group("plot", "json", "verbose")]
 """The same options in another order of the help."""

@@ -16,10 +16,10 @@ from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any
 
 from armrig_core.process.loading import end_at_ctrl_c
-from armrig_core.process.options import argument, chosen
+from armrig_core.process.options import argument, preset
 from armrig_core.process.printable import plural, printable
 from armrig_core.process.signal_pipe import until_signal
-from armrig_core.rig.channels import Channel, channel
+from armrig_core.rig.channels import DeviceChannel, channel
 from armrig_core.rig.emulated import SOCKET_PREFIX
 from armrig_core.telemetry.topics import PLAYED
 from armrig_protocol.messages import Flag
@@ -28,7 +28,7 @@ import armrig
 from armrig.cli.options import Connect, Json, RigId
 from armrig.cli.printing import (
     echo,
-    folded,
+    fold,
     inform,
     print_json,
     print_result,
@@ -58,7 +58,7 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
     """Show the state of the daemon and the rig."""
     from armrig.rig.status import status_rows
 
-    with opened_rig(rig, connect) as opened:
+    with open_rig(rig, connect) as opened:
         report = opened.status()
     if json:
         print_json(report)
@@ -71,7 +71,7 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
 def watch(
     rig: RigId = "1",
     connect: Connect = None,
-    count: int | None = chosen(
+    count: int | None = preset(
         None, "Number of samples and gaps after which the command ends.", "no limit", min=1
     ),
     json: Json = False,
@@ -80,7 +80,7 @@ def watch(
 
     With --json each line has the fields of a sample, or of a gap: k_first, count, reason and more.
     """
-    with opened_rig(rig, connect) as opened:
+    with open_rig(rig, connect) as opened:
         samples: Iterator[Any] = islice(opened.stream("sample"), count)
         with suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
             if json:
@@ -100,7 +100,7 @@ def watch(
 def stop(
     rig: RigId = "1",
     connect: Connect = None,
-    by: str = chosen(
+    by: str = preset(
         "",
         "Name of the person who stops the rig, for the recording.",
         "this user's name",
@@ -119,7 +119,7 @@ def stop(
     from armrig.rig.session import NoReplyError
 
     try:
-        with opened_rig(rig, connect) as opened:
+        with open_rig(rig, connect) as opened:
             opened.stop(by)
             after = "" if json else _state_after_stop(opened)
     except NoReplyError as err:
@@ -174,7 +174,7 @@ def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None
     With --json the command prints {"rig": "1", "was_latched": true}, or false if no fault was
     latched.
     """
-    with opened_rig(rig, connect) as opened:
+    with open_rig(rig, connect) as opened:
         was_latched = opened.reset()
     text = f"rig {rig} was reset" if was_latched else f"rig {rig}: no fault is latched"
     print_result({"rig": rig, "was_latched": was_latched}, text, json=json)
@@ -186,7 +186,7 @@ def note(
     text: Annotated[str, argument("TEXT", "Text of the note, 1 to 500 characters.", False)],
     rig: RigId = "1",
     connect: Connect = None,
-    owner: str = chosen("", "Author of the note.", "this user's name"),
+    owner: str = preset("", "Author of the note.", "this user's name"),
     json: Json = False,
 ) -> None:
     """Write a note into the current recording.
@@ -196,7 +196,7 @@ def note(
     With --json the command prints {"rig": "1", "recorded": true}, or false if no run is being
     recorded.
     """
-    with opened_rig(rig, connect) as opened:
+    with open_rig(rig, connect) as opened:
         is_recorded = opened.note(text, owner)
     missing = "no run is being recorded, so the note is not in a recording"
     text = f"rig {rig}: {'the note is in the recording' if is_recorded else missing}"
@@ -211,15 +211,15 @@ def _next_of(status: StatusReport) -> str:
 
 
 def _say_next(name: str, rig: str, connect: str | None, report: StatusReport | None = None) -> None:
-    from armrig.cli.next_step import naming, say_next
+    from armrig.cli.next_step import option_for_rig, say_next
     from armrig.recordings.files.origin import Origin
 
     origin = Origin.of_status(report) if report else None
-    say_next(name, origin, rig=naming(rig, connect))
+    say_next(name, origin, rig=option_for_rig(rig, connect))
 
 
 @contextmanager
-def opened_rig(rig: str, connect: str | None) -> Iterator[Any]:
+def open_rig(rig: str, connect: str | None) -> Iterator[Any]:
     """Yield the rig; if the daemon refuses a request, the error names the command to type next."""
     from armrig.rig.replies import RefusedError, refusal_sentence, reset_command
 
@@ -230,7 +230,7 @@ def opened_rig(rig: str, connect: str | None) -> Iterator[Any]:
             raise RefusedError(refusal_sentence(err, reset_command(rig, connect))) from err
 
 
-_Channels = Sequence[Channel]
+_Channels = Sequence[DeviceChannel]
 _COLUMNS = (12, 10)
 """Widths of the columns of the channels."""
 
@@ -244,14 +244,14 @@ def _channels_of(sample: Sample) -> _Channels:
 
 
 def _heading(channels: _Channels) -> str:
-    shown = (
+    headings = (
         f"{f'{c.name} [{_degrees(c)[0]}]':>{width}}"
         for c, width in zip(channels, _COLUMNS, strict=False)
     )
-    return f"{'k':>10} {'u [V]':>8} {' '.join(shown)} {'late [µs]':>10}"
+    return f"{'k':>10} {'u [V]':>8} {' '.join(headings)} {'late [µs]':>10}"
 
 
-def _degrees(channel: Channel) -> tuple[str, float]:
+def _degrees(channel: DeviceChannel) -> tuple[str, float]:
     """Return the unit in which a person reads a channel, and the factor to this unit."""
     return ("°", degrees(1.0)) if channel.unit == "rad" else (channel.unit, 1.0)
 
@@ -306,8 +306,8 @@ def _sample_line(sample: Any, channels: _Channels) -> str:
         return f"{sample.k_first:>10} {sample.count} missing: {sample.reason}"
     late = (sample.t_host_ns - sample.t_sched_ns) / 1e3
     values = zip(channels, (sample.value_0, sample.value_1), _COLUMNS, strict=False)
-    shown = (f"{y * _degrees(c)[1]:>{width}.2f}" for c, y, width in values)
-    return f"{sample.k:>10} {sample.u_applied_v:>8.3f} {' '.join(shown)} {late:>10.1f}"
+    readings = (f"{y * _degrees(c)[1]:>{width}.2f}" for c, y, width in values)
+    return f"{sample.k:>10} {sample.u_applied_v:>8.3f} {' '.join(readings)} {late:>10.1f}"
 
 
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
@@ -317,20 +317,20 @@ _BLANK = "–"
 
 
 def lab(
-    port: str | None = chosen(
+    port: str | None = preset(
         None, "Serial port of the rig.", "none, the rig is emulated", metavar="DEVICE"
     ),
-    config: Path | None = chosen(
+    config: Path | None = preset(
         None, "Configuration file to use instead of the installed files.", metavar="TOML"
     ),
     rig: RigId = "1",
-    rig_file: Path | None = chosen(
+    rig_file: Path | None = preset(
         None,
         "Description of the rig: a file, or a name of `armrig rigs`.",
         "the configuration's [rig] file, otherwise the arm",
         metavar="TOML",
     ),
-    page: bool = chosen(
+    page: bool = preset(
         True,
         "Also serve the dashboard, and open it if there is a screen; not with --json.",
         "--dashboard",
@@ -346,30 +346,32 @@ def lab(
     With --json the command prints a line at each change of the phase, with the fields of
     `armrig status --json`. In phase "safe" the rig is ready.
     """
-    what = "an emulated rig" if port is None else port
+    from armrig.cli.next_step import option_for_rig
+    from armrig.lab.avrdude import usb_boards
+
+    source = "an emulated rig" if port is None else port
     if not json:
-        inform(f"starting {what} …", dim=True)
+        inform(f"starting {source} …", dim=True)
     import platformdirs
 
-    from armrig.cli.next_step import naming
-    from armrig.lab.avrdude import plugged_in, refuse_leonardo
+    from armrig.lab.avrdude import refuse_leonardo
     from armrig.rig.local_daemon import running
 
     if port is not None:
-        refuse_leonardo(port, plugged_in())
+        refuse_leonardo(port, usb_boards())
     log = Path(platformdirs.user_state_dir("armrig")) / f"lab-{rig}.log"
     log.parent.mkdir(parents=True, exist_ok=True)
-    given = {"--port": port, "--config": config, "--rig-file": rig_file}
-    options = [str(x) for pair in given.items() if pair[1] is not None for x in pair]
+    flags = {"--port": port, "--config": config, "--rig-file": rig_file}
+    options = [str(x) for pair in flags.items() if pair[1] is not None for x in pair]
     emulated = ["--emulate"] if port is None else []
-    again = f"armrig lab{naming(rig)}{''.join(f' {quote(option)}' for option in options)}"
+    again = f"armrig lab{option_for_rig(rig)}{''.join(f' {quote(option)}' for option in options)}"
     with (
         running(["--rig", rig, *emulated, *options], rig=rig, log=log) as daemon,
         armrig.Rig(rig) as opened,
         _page(rig, again, rig_file) if page and not json else nullcontext("") as url,
     ):
         try:
-            _show(opened, daemon, log, what, url, json=json)
+            _show(opened, daemon, log, source, url, json=json)
         except armrig.RigError as err:
             if not url or daemon.poll() is None:
                 raise
@@ -385,9 +387,9 @@ def _page(rig: str, command: str, rig_file: Path | None = None) -> Iterator[str]
     """Serve the dashboard, and open it in a browser if there is a screen."""
     import webbrowser
 
-    from armrig.dashboard.serving import Settings, dashboard
+    from armrig.dashboard.serving import DashboardSettings, dashboard
 
-    settings = Settings(rig=rig, command=command, starts_daemon=True, rig_file=rig_file)
+    settings = DashboardSettings(rig=rig, command=command, starts_daemon=True, rig_file=rig_file)
     with dashboard(settings) as served:
         if sys.stdout.isatty() and any(name in os.environ for name in _SCREENS):
             webbrowser.open(served.browser_url)
@@ -395,7 +397,7 @@ def _page(rig: str, command: str, rig_file: Path | None = None) -> Iterator[str]
 
 
 def _show(
-    rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str, url: str, *, json: bool
+    rig: Rig, daemon: subprocess.Popen[bytes], log: Path, source: str, url: str, *, json: bool
 ) -> None:
     """Print a message when the rig is ready; on a terminal, show the newest sample live."""
     from armrig.cli.next_step import next_line
@@ -403,7 +405,7 @@ def _show(
     from armrig.rig.local_daemon import require_running
     from armrig.rig.session import NoReplyError
 
-    shown = told = ""
+    last_view = last_message = ""
     status, asked_s = rig.status(), time.monotonic()
     # Computed once: the commands of later recordings print their own next command.
     after = next_line(_next_of(status), Origin.of_status(status))
@@ -422,23 +424,23 @@ def _show(
                 asked_s = time.monotonic()
             sample = (newest() or [sample])[-1]
             how = f"{status.phase} {status.reason} {status.line}"
-            now = how if json else silence or _sentence(status, what, url, after, log)
-            if now and now != told:
+            now = how if json else silence or _sentence(status, source, url, after, log)
+            if now and now != last_message:
                 say(status if json else now)
-                told = now
-            if (view := _lines(status, sample)) != shown:
+                last_message = now
+            if (view := _lines(status, sample)) != last_view:
                 draw(view)
-                shown = view
+                last_view = view
             time.sleep(_VIEW_INTERVAL_S)
 
 
-def _sentence(status: StatusReport, what: str, url: str, after: str, log: Path) -> str:
+def _sentence(status: StatusReport, source: str, url: str, after: str, log: Path) -> str:
     """Return a message: the rig is ready, or has a problem; "" if the rig is not yet ready."""
     if status.phase == "safe":
         alone = "; the arm is removed ([arm] removed)" if status.arm_removed else ""
         page = f"in a browser: {url}\n" if url else ""
         return (
-            f"rig ready, 0 V: {what}, rig {status.rig}; Ctrl-C ends the lab\n{page}"
+            f"rig ready, 0 V: {source}, rig {status.rig}; Ctrl-C ends the lab\n{page}"
             f"recordings go to {status.recordings}{alone}\n"
             f"in a second terminal:\n{after}"
         )
@@ -458,8 +460,8 @@ def _lines(status: StatusReport, sample: Any) -> str:
     if sample is not None:
         channels = status.described.channels
         values = zip(channels, (sample.value_0, sample.value_1), strict=False)
-        shown = [f"{c.name} {_shown(c, y)}" for c, y in values]
-        lines.append("   ".join([f"u {sample.u_applied_v:.3f} V", *shown]))
+        readings = [f"{c.name} {_reading_text(c, y)}" for c, y in values]
+        lines.append("   ".join([f"u {sample.u_applied_v:.3f} V", *readings]))
     last = status.last_run
     if last is not None:
         how = f"recorded, {last.outcome}" if last.finished else "recording"
@@ -467,7 +469,7 @@ def _lines(status: StatusReport, sample: Any) -> str:
     return "\n".join(lines)
 
 
-def _shown(channel: Channel, x: float) -> str:
+def _reading_text(channel: DeviceChannel, x: float) -> str:
     """Return a value with its unit; an angle is in degrees."""
     if not isfinite(x):
         return _BLANK
@@ -478,11 +480,11 @@ def _between_words(text: str, columns: int) -> str:
     """Return the text, folded to the terminal's width; lines that the user copies stay unfolded."""
     lines = printable(text, keep="\n").splitlines()
     return "\n".join(
-        x if x.startswith(("next: ", "in a browser: ")) else folded(x, columns) for x in lines
+        x if x.startswith(("next: ", "in a browser: ")) else fold(x, columns) for x in lines
     )
 
 
-def _headed(text: Text) -> Text:
+def _embolden(text: Text) -> Text:
     if takes_styles():
         text.stylize("bold", 0, len(text.plain.partition("\n")[0]))
     return text
@@ -502,7 +504,7 @@ def _view(*, json: bool) -> Iterator[tuple[Callable[[Any], None], Callable[[str]
     with Live(console=console, refresh_per_second=10, transient=True) as live:
         yield (
             lambda text: console.print(
-                _headed(Text(_between_words(text, console.width))), soft_wrap=True
+                _embolden(Text(_between_words(text, console.width))), soft_wrap=True
             ),
             lambda text: live.update(Text(_between_words(text, console.width))),
         )
@@ -511,16 +513,16 @@ def _view(*, json: bool) -> Iterator[tuple[Callable[[Any], None], Callable[[str]
 def dashboard(
     rig: RigId = "1",
     connect: Connect = None,
-    port: int | None = chosen(
+    port: int | None = preset(
         None,
         "TCP port of the page on this machine.",
         "8807 if it is free, otherwise a free port",
         min=1,
         max=65_535,
     ),
-    browser: bool = chosen(False, "Open the page in the browser.", names="--open"),
-    share: bool = chosen(False, "Let visitors on this network watch and stop the rig, over TLS."),
-    for_foxglove: bool = chosen(
+    browser: bool = preset(False, "Open the page in the browser.", names="--open"),
+    share: bool = preset(False, "Let visitors on this network watch and stop the rig, over TLS."),
+    for_foxglove: bool = preset(
         False, "Also serve the streams to Foxglove on this machine.", names="--foxglove"
     ),
     json: Json = False,
@@ -532,11 +534,14 @@ def dashboard(
 
     With --json the command prints {"url": …, "shared_url": …, "foxglove": …, "layouts": …}.
     """
+    from armrig_core.rig.description import builtin
+
+    from armrig.dashboard.serving import DashboardSettings
+
     if not json:
         inform("starting the dashboard …", dim=True)
     # `until_signal` only notes the first Ctrl-C, and the imports take seconds on a busy machine.
     has_loaded = end_at_ctrl_c("armrig")
-    from armrig.dashboard.serving import Settings
     from armrig.dashboard.serving import dashboard as serving
 
     has_loaded()
@@ -544,16 +549,15 @@ def dashboard(
         from armrig.dashboard.share import own_address
 
         address = own_address() if share else None
-        settings = Settings(rig=rig, connect=connect, port=port, share=address)
+        settings = DashboardSettings(rig=rig, connect=connect, port=port, share=address)
         served = opened.enter_context(serving(settings))
         streams = written = ""
         if for_foxglove:
             import platformdirs
-            from armrig_core.rig.description import shipped
 
             from armrig.dashboard.foxglove import foxglove, layouts
 
-            described = shipped("arm")  # if no daemon answers yet
+            described = builtin("arm")  # if no daemon answers yet
             with suppress(armrig.RigError), armrig.Rig(rig, connect=connect) as live:
                 described = live.status().described
             folder = Path(platformdirs.user_state_dir("armrig")) / f"layouts-{rig}"

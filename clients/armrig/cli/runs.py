@@ -18,13 +18,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import typer
 from armrig_core.commands.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.errors import FileError, InputError, OperationError
-from armrig_core.process.options import Commands, argument, chosen, group, option
+from armrig_core.process.options import CommandGroup, argument, group, option, preset
 from armrig_core.process.printable import printable
 from armrig_core.process.signal_pipe import SignalPipe, until_signal
 from msgspec import structs
 
 import armrig
-from armrig.cli.next_step import OF_KIND, free_recording_name, naming, say_next, step_again, typed
+from armrig.cli.next_step import (
+    OF_KIND,
+    command_line_name,
+    free_recording_name,
+    option_for_rig,
+    say_next,
+    step_again,
+)
 from armrig.cli.options import Connect, From, Json, RigId, SamplingTime, To
 from armrig.cli.printing import fields_of, inform, print_result, tell, tell_error
 from armrig.cli.recorded_data import File
@@ -39,7 +46,7 @@ if TYPE_CHECKING:
     from armrig.excitation.pace import Pace
     from armrig.rig.remote_recording import RemoteRecording
 
-collect = Commands(
+collect = CommandGroup(
     "Play an input and record the response of the rig.\n\n"
     "The command prints the path of the recording and whether its data can be used. "
     "The exit code is 1 if the data cannot be used."
@@ -116,36 +123,38 @@ class _Levels(NamedTuple):
     """True if a level has no name."""
 
 
-def _levels(low: Level | None, high: Level | None, run: _Run, pace: Pace | None = None) -> _Levels:
+def _levels(
+    low: Level | None, high: Level | None, run: _ExperimentOptions, pace: Pace | None = None
+) -> _Levels:
     """Return the voltages at the pin; by default those that suit the model of the rig."""
-    typed = [level for level in (low, high) if level is not None]
+    levels = [level for level in (low, high) if level is not None]
     volts: list[float] = []
     defaults = (pace.low, pace.high) if pace else (0.5, 4.5)
     for level, default in zip((low, high), defaults, strict=True):
         if level is None or not level.name:
             volts.append(default if level is None else level.value)
             continue
-        given = _input_of(run)
-        if level.name != given.name:
+        rig_input = _input_of(run)
+        if level.name != rig_input.name:
             raise InputError(
-                f"{level.name}={level.value:g}: the input of rig {run.rig} is {given.name} in "
-                f"{given.unit}; a number without a name is a voltage at the pin"
+                f"{level.name}={level.value:g}: the input of rig {run.rig} is {rig_input.name} in "
+                f"{rig_input.unit}; a number without a name is a voltage at the pin"
             )
-        volts.append(round(given.volts(level.value), 12))
-    if typed and all(level.name for level in typed) and volts[0] > volts[1]:
+        volts.append(round(rig_input.volts(level.value), 12))
+    if levels and all(level.name for level in levels) and volts[0] > volts[1]:
         volts.reverse()  # the value of an inverting amplifier falls with the voltage
     low_v, high_v = volts
-    is_default = not typed and pace is None
-    return _Levels(low_v, high_v, is_default, any(not level.name for level in typed))
+    is_default = not levels and pace is None
+    return _Levels(low_v, high_v, is_default, any(not level.name for level in levels))
 
 
-def _input_of(run: _Run) -> Input:
+def _input_of(run: _ExperimentOptions) -> Input:
     """Return the input of the rig's description."""
     with armrig.Rig(run.rig, connect=run.connect) as rig:
         return rig.status().described.input
 
 
-def _rig_of(run: _Run) -> StatusReport | None:
+def _rig_of(run: _ExperimentOptions) -> StatusReport | None:
     """Return the status of a rig that is not the arm; None for the arm, or without an answer."""
     with suppress(RuntimeError), armrig.Rig(run.rig, connect=run.connect) as rig:
         status = rig.status()
@@ -153,7 +162,7 @@ def _rig_of(run: _Run) -> StatusReport | None:
     return None
 
 
-def _set_pace(run: _Run, *, by_model: bool) -> tuple[_Run, Pace | None]:
+def _set_pace(run: _ExperimentOptions, *, by_model: bool) -> tuple[_ExperimentOptions, Pace | None]:
     """Return the options and the pace that suit the matrices of a rig.
 
     The pace is None if the length is given (not `by_model`), for the arm, and without matrices.
@@ -172,18 +181,18 @@ def _set_pace(run: _Run, *, by_model: bool) -> tuple[_Run, Pace | None]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Run:
+class _ExperimentOptions:
     """Options common to all kinds of experiment."""
 
     Ts: SamplingTime = None
-    name: str = chosen("", "Name of the recording, for @NAME: a-z, 0-9 and -.", "no name")
-    pacing: Literal["scheduled", "exchange"] = chosen(
+    name: str = preset("", "Name of the recording, for @NAME: a-z, 0-9 and -.", "no name")
+    pacing: Literal["scheduled", "exchange"] = preset(
         "scheduled", "Clock of the samples: the device's timer (scheduled) or the host (exchange)."
     )
-    owner: str | None = chosen(
+    owner: str | None = preset(
         None, "Name of the rig's owner, shown to other users.", "this user's name"
     )
-    dead_man: float = chosen(
+    dead_man: float = preset(
         DEAD_MAN_S,
         "Time in s, 0.5 to 60, after which the daemon stops the run if this program is killed, "
         "frozen or disconnected; 0 plays the run to its end.",
@@ -198,31 +207,31 @@ class _Run:
 class InputChoice:
     """Options of a random input, or of the user's own input."""
 
-    seconds: float | None = chosen(
+    seconds: float | None = preset(
         None,
         "Length of the run, in s; at most 4 000 000 samples; not with --file.",
         "what suits the model of the rig; for the arm 30",
     )
-    input: Literal["telegraph", "prbs", "white", "multisine", "chirp", "csv"] | None = chosen(
+    input: Literal["telegraph", "prbs", "white", "multisine", "chirp", "csv"] | None = preset(
         None, "Input signal.", "telegraph"
     )
-    file: Path | None = chosen(
+    file: Path | None = preset(
         None, "File with your own input: a row with u, or t and u, for each sample.", metavar="CSV"
     )
-    a: float | None = chosen(
+    a: float | None = preset(
         None,
         "Probability of a switch at each sample (telegraph, prbs).",
         "what suits the model of the rig; for the arm 0.05",
     )
     low: Low = None
     high: High = None
-    seed: int = chosen(
+    seed: int = preset(
         1, "Seed of the random numbers (telegraph, prbs, white, multisine).", min=0, max=_MAX_SEED
     )
-    validation: bool = chosen(False, "Record a second run for validation, with the next seed.")
+    validation: bool = preset(False, "Record a second run for validation, with the next seed.")
 
 
-Run = Annotated[_Run, group(_Run)]
+Run = Annotated[_ExperimentOptions, group(_ExperimentOptions)]
 Choice = Annotated[InputChoice, group(InputChoice)]
 
 
@@ -230,7 +239,7 @@ Choice = Annotated[InputChoice, group(InputChoice)]
 def blackbox(choice: Choice, run: Run) -> None:
     """Play a random input, or your own input, to the complete rig."""
     run, pace = _set_pace(run, by_model=choice.seconds is None and choice.file is None)
-    collect_each(chosen_inputs("blackbox", choice, run, pace), run)
+    collect_each(plan_runs("blackbox", choice, run, pace), run)
 
 
 @collect.add("collect greybox --seconds 30")
@@ -239,22 +248,22 @@ def greybox(choice: Choice, run: Run) -> None:
 
     Remove the rotating part first. The configuration must have [arm] removed = true.
     """
-    collect_each(chosen_inputs("greybox", choice, run), run, without_arm=True)
+    collect_each(plan_runs("greybox", choice, run), run, without_arm=True)
 
 
 @collect.add("collect step --Ts 0.002")
 def step(
     *,
     seconds: Seconds = None,
-    at: float | None = chosen(None, "Time of the step, in s.", "1, or a sixth of the length"),
+    at: float | None = preset(None, "Time of the step, in s.", "1, or a sixth of the length"),
     low: Low = None,
     high: High = None,
-    until: Literal["settled"] | None = chosen(
+    until: Literal["settled"] | None = preset(
         None,
         "settled: end when the output has settled, at the latest after --seconds.",
         "settled without --seconds, if the rig has no model",
     ),
-    yes: bool = chosen(False, "With --until settled, hold the rig for more than an hour."),
+    yes: bool = preset(False, "With --until settled, hold the rig for more than an hour."),
     run: Run,
 ) -> None:
     """Play a step, to measure time constant, delay and gain.
@@ -288,7 +297,7 @@ def step(
 def staircase(
     *,
     seconds: Seconds = None,
-    levels: int = chosen(6, "Number of levels of the staircase.", min=2),
+    levels: int = preset(6, "Number of levels of the staircase.", min=2),
     low: Low = None,
     high: High = None,
     run: Run,
@@ -315,17 +324,17 @@ def staircase(
 @collect.add("collect bla --realisations 4")
 def bla(
     *,
-    seconds: float | None = chosen(
+    seconds: float | None = preset(
         None, "Length of each recording, in s; use it instead of --period."
     ),
-    period: float | None = chosen(None, "Length of a period, in s.", "5"),
-    periods: int = chosen(5, "Number of periods in each recording.", min=2),
-    count: int = chosen(
+    period: float | None = preset(None, "Length of a period, in s.", "5"),
+    periods: int = preset(5, "Number of periods in each recording.", min=2),
+    count: int = preset(
         4, "Number of recordings, each with different phases.", names="--realisations", min=1
     ),
     low: Low = None,
     high: High = None,
-    seed: int = chosen(1, "Seed of the random phases.", min=0, max=_MAX_SEED),
+    seed: int = preset(1, "Seed of the random phases.", min=0, max=_MAX_SEED),
     run: Run,
 ) -> None:
     """Play multisines for `armrig.bla`, the best linear approximation.
@@ -376,31 +385,31 @@ def control(
     law_file: Annotated[
         Path, argument("LAW", "File of the law, such as of `armrig design place`.")
     ],
-    reference: str = chosen(
+    reference: str = preset(
         "step", "step, staircase, or a CSV with a row of r, or t and r, for each sample."
     ),
-    seconds: float | None = chosen(
+    seconds: float | None = preset(
         None,
         "Length of the run, in s; not with a file.",
         "five time constants of the law's model for each level, at least 150 samples",
     ),
-    low: float | None = chosen(
+    low: float | None = preset(
         None, "Lowest level of r, in its unit.", "a quarter of the law's range"
     ),
-    high: float | None = chosen(
+    high: float | None = preset(
         None, "Highest level of r, in its unit.", "half of the law's range"
     ),
-    levels: int = chosen(4, "Number of levels of a staircase.", min=2),
-    dither: float = chosen(
+    levels: int = preset(4, "Number of levels of a staircase.", min=2),
+    dither: float = preset(
         0.0,
         "Amplitude of a random square wave on r, in its unit, so that a model can be identified.",
         "0",
     ),
-    seed: int = chosen(1, "Seed of the dither.", min=0, max=_MAX_SEED),
-    unstable: bool = chosen(
+    seed: int = preset(1, "Seed of the dither.", min=0, max=_MAX_SEED),
+    unstable: bool = preset(
         False, "Allow a loop that is unstable on the rig's model, inside the outputs' limits."
     ),
-    unmonitored: bool = chosen(
+    unmonitored: bool = preset(
         False, "Allow a law without a monitor. A stuck sensor then drives the rig to full input."
     ),
     run: Run,
@@ -428,12 +437,12 @@ def control(
         law=law,
         unstable=unstable,
         unmonitored=unmonitored,
-        new_reference=None if run.json else _typed_number,
+        new_reference=None if run.json else _read_number,
     )
     collect_each([of_law], replace(run, Ts=Ts, pacing="exchange"))
 
 
-def _typed_number() -> float | None:
+def _read_number() -> float | None:
     """Return the number in the line that a person has typed in this terminal; None without one."""
     terminal = sys.stdin.fileno()
     # A program in the background would be stopped if it read from its terminal.
@@ -473,11 +482,11 @@ class Played(NamedTuple):
     """As in `armrig.rig.collection.Plan`."""
 
 
-def chosen_inputs(
-    experiment: str, choice: InputChoice, run: _Run, pace: Pace | None = None
+def plan_runs(
+    experiment: str, choice: InputChoice, run: _ExperimentOptions, pace: Pace | None = None
 ) -> list[Played]:
     """Return the runs to play; refuse wrong options before the connection to a rig."""
-    from armrig.excitation.named_signals import SEEDED, details_of, named_signal
+    from armrig.excitation.named_signals import SEEDED, details_of, signal_by_name
 
     file = choice.file
     name = choice.input or ("telegraph" if file is None else "csv")
@@ -496,12 +505,13 @@ def chosen_inputs(
     a, usual = (pace.switch, pace.seconds) if pace else (SWITCHING, SECONDS)
     figures = {"a": a if choice.a is None else choice.a, "low": volts.low, "high": volts.high}
     # A wrong value is refused here, before the rig is armed.
-    named_signal(name, 3, 0.01, seed=choice.seed, **figures)
+    signal_by_name(name, 3, 0.01, seed=choice.seed, **figures)
 
     def play_of(kind: str, seed: int) -> Played:
+
         return Played(
             kind,
-            lambda N, Ts: named_signal(name, N, Ts, seed=seed, **figures),
+            lambda N, Ts: signal_by_name(name, N, Ts, seed=seed, **figures),
             details_of(name, seed=seed, **figures),
             usual if choice.seconds is None else choice.seconds,
             volts.are_default,
@@ -513,34 +523,36 @@ def chosen_inputs(
     return [first, second] if choice.validation else [first]
 
 
-def _from_file(experiment: str, file: Path, seconds: float | None, run: _Run) -> Played:
+def _from_file(
+    experiment: str, file: Path, seconds: float | None, run: _ExperimentOptions
+) -> Played:
     from armrig.excitation.from_file import is_named
 
     if seconds is not None:
         raise InputError(f"--seconds {seconds:g}: a file has its own length; leave out --seconds")
     file.stat()  # a missing file is refused here
     named = is_named(file)
-    own: Any = {"input": _input_of(run)} if named else {}
+    arguments: Any = {"input": _input_of(run)} if named else {}
     if run.Ts is not None:
-        armrig.from_csv(file, run.Ts, **own)
+        armrig.from_csv(file, run.Ts, **arguments)
     details = {"input": "csv", "file": file.name}
 
     def make(_: int, Ts: float) -> Any:
-        return armrig.from_csv(file, Ts, **own)
+        return armrig.from_csv(file, Ts, **arguments)
 
     return Played(experiment, make, details, None, is_bare=not named)
 
 
 def experiment_name(experiment: str, name: str) -> str:
     """Return an experiment's kind with the name that a person chose; refuse other names."""
-    whole = f"{experiment}-{name}" if name else experiment
-    if not re.fullmatch(r"[a-z0-9-]*", name) or len(whole) > _MAX_NAME_LENGTH:
+    full_name = f"{experiment}-{name}" if name else experiment
+    if not re.fullmatch(r"[a-z0-9-]*", name) or len(full_name) > _MAX_NAME_LENGTH:
         most = _MAX_NAME_LENGTH - len(experiment) - 1
         raise InputError(f"--name {name}: at most {most} of a-z, 0-9 and - are allowed")
     if name == "last" or re.match(r"validation\b", name):
         meant = "@last is the newest recording" if name == "last" else "--validation adds this name"
         raise InputError(f"--name {name}: {meant}; give another name")
-    return whole
+    return full_name
 
 
 def check_name_is_free(name: str) -> None:
@@ -550,7 +562,9 @@ def check_name_is_free(name: str) -> None:
         raise InputError(f"{msg}such as --name {free}")
 
 
-def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = False) -> None:
+def collect_each(
+    played: Iterable[Played], run: _ExperimentOptions, *, without_arm: bool = False
+) -> None:
     """Record each run and print its result; stop if the data cannot be used.
 
     If `without_arm` is True, the experiment needs the rig without its arm, and a rig with an
@@ -601,7 +615,7 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
             if done.shares:
                 inform(done.shares)
     if first is not None and not run.json:
-        _say_next(each[0].experiment, first, naming(run.rig, run.connect))
+        _say_next(each[0].experiment, first, option_for_rig(run.rig, run.connect))
 
 
 def _say_next(kind: str, first: Path, rig: str) -> None:
@@ -616,28 +630,28 @@ def _say_next(kind: str, first: Path, rig: str) -> None:
     if again:
         say_next("collect step again", origin, rig=rig, again=again)
     else:
-        say_next(OF_KIND.get(kind, "plot"), file=typed(first))
+        say_next(OF_KIND.get(kind, "plot"), file=command_line_name(first))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Remote:
     """Rigs to record, and the files to write."""
 
-    source: str | None = chosen(
+    source: str | None = preset(
         None,
         "zenoh endpoint of the daemon or a router, such as tls/HOST:7447.",
         "the configuration's [client] connect, otherwise the daemon on this machine (one rig only)",
         names="--from --connect ENDPOINT",
     )
-    rigs: list[str] | None = chosen(None, "Id of a rig; repeatable.", "1", names="--rig")
-    every: bool = chosen(False, "Record every rig, including rigs that start later.", names="--all")
-    out: Path | None = chosen(
+    rigs: list[str] | None = preset(None, "Id of a rig; repeatable.", "1", names="--rig")
+    every: bool = preset(False, "Record every rig, including rigs that start later.", names="--all")
+    out: Path | None = preset(
         None,
         "File to write; for several rigs, folder for the files.",
         "RIG-remote-TIME.mcap in this folder",
         names="-o FILE",
     )
-    seconds: float | None = chosen(None, "Length of the recording, in s.", "no limit", metavar="S")
+    seconds: float | None = preset(None, "Length of the recording, in s.", "no limit", metavar="S")
     json: Json = False
 
     def __post_init__(self) -> None:
@@ -702,10 +716,10 @@ def _record_one(remote: _Remote, ended: SignalPipe) -> None:
             _finish(recording, how)
     if not recording.done:
         raise OperationError(f"rig {rig} at {where} published no sample, so there is no recording")
-    facts = {"recordings": [*map(_recorded_facts, recording.done)]}
-    print_result(facts, *map(_recorded_line, recording.done), json=remote.json)
+    facts = {"recordings": [*map(_file_facts, recording.done)]}
+    print_result(facts, *map(_file_line, recording.done), json=remote.json)
     if not remote.json:
-        say_next("info", file=typed(recording.done[-1].path))
+        say_next("info", file=command_line_name(recording.done[-1].path))
 
 
 def _finish(recording: RemoteRecording, ended: Ending) -> None:
@@ -734,11 +748,11 @@ def _new_file(path: Path) -> Path:
     return path
 
 
-def _recorded_facts(file: Any) -> dict[str, Any]:
+def _file_facts(file: Any) -> dict[str, Any]:
     return {"recording": file.path} | fields_of(file, "samples missing outcome")
 
 
-def _recorded_line(file: Any) -> str:
+def _file_line(file: Any) -> str:
     return f"{file.path}: {plural(file.samples, 'sample')}, {file.missing} missing, {file.outcome}"
 
 
@@ -750,9 +764,9 @@ def default_name(rig: str) -> str:
 def record_many(remote: _Remote, ended: SignalPipe) -> None:
     """Record several rigs at an endpoint into files in a folder."""
     from armrig.lab.fleet_recorder import FleetRecorder
-    from armrig.rig.session import configured_connect, open_endpoint
+    from armrig.rig.session import connect_setting, open_endpoint
 
-    where, rigs = remote.source or configured_connect(), remote.rigs
+    where, rigs = remote.source or connect_setting(), remote.rigs
     if not where:
         raise InputError(
             "--from is missing: give the endpoint of a router, such as tls/lab.local:7447"
@@ -768,15 +782,15 @@ def record_many(remote: _Remote, ended: SignalPipe) -> None:
         named = "all rigs" if rigs is None else f"rigs {', '.join(rigs)}"
         inform(f"recording {named} from {where}; Ctrl-C ends it")
         recorded = recorder.record(ended, remote.seconds, rigs)
-    files = [(one.rig, file) for one in recorded for file in one.files]
-    failed = [one for one in recorded if one.why]
+    files = [(result.rig, file) for result in recorded for file in result.files]
+    failed = [result for result in recorded if result.why]
     facts = {
-        "recordings": [{"rig": rig} | _recorded_facts(file) for rig, file in files],
-        "failed": [fields_of(one, "rig why") for one in failed],
+        "recordings": [{"rig": rig} | _file_facts(file) for rig, file in files],
+        "failed": [fields_of(result, "rig why") for result in failed],
     }
-    print_result(facts, *(_recorded_line(file) for _, file in files), json=remote.json)
+    print_result(facts, *(_file_line(file) for _, file in files), json=remote.json)
     if failed:
-        names = ", ".join(one.rig for one in failed)
+        names = ", ".join(result.rig for result in failed)
         raise OperationError(
             f"the recording ended early for rig {names}, of {plural(len(recorded), 'rig')}; see "
             "above"
@@ -784,7 +798,7 @@ def record_many(remote: _Remote, ended: SignalPipe) -> None:
     if not files:
         msg = f"no rig at {where} published a sample: there is nothing to record; "
         raise OperationError(msg + "`armrig ls --live` lists the rigs")
-    silent = [one.rig for one in recorded if not one.files]
+    silent = [result.rig for result in recorded if not result.files]
     for rig in silent:
         tell(f"rig {rig}: no sample arrived, so it has no recording")
     if rigs is not None and silent:
@@ -793,12 +807,12 @@ def record_many(remote: _Remote, ended: SignalPipe) -> None:
 
 def play(
     file: File,
-    speed: float = chosen(1.0, "Speed of the playback, relative to the recording.", metavar="X"),
+    speed: float = preset(1.0, "Speed of the playback, relative to the recording.", metavar="X"),
     start: From = None,
     stop: To = None,
-    loop: bool = chosen(False, "Repeat the recording until Ctrl-C."),
-    wait: bool = chosen(False, "Begin when the first listener connects."),
-    listen: str | None = chosen(
+    loop: bool = preset(False, "Repeat the recording until Ctrl-C."),
+    wait: bool = preset(False, "Begin when the first listener connects."),
+    listen: str | None = preset(
         None, "zenoh endpoint to publish at.", "a new socket of this user", metavar="ENDPOINT"
     ),
     json: Json = False,
@@ -812,29 +826,29 @@ def play(
     With --json the first line contains the endpoint, and the last line contains the number of
     messages.
     """
-    from armrig_core.telemetry.topics import check_rig_id, played_id
+    from armrig_core.telemetry.topics import check_rig_id, playback_id
 
+    from armrig.rig.playback import open_stage, read_run, rest
     from armrig.rig.playback import play as played
-    from armrig.rig.playback import published, rest, staged
     from armrig.rig.session import own_endpoint
 
     if not 0 < speed < inf:
         raise InputError(f"--speed {speed:g}: must be more than 0, such as 1 or 10")
-    run = published(file, start, stop)
-    rig = played_id(check_rig_id(run.manifest.rig))
+    run = read_run(file, start, stop)
+    rig = playback_id(check_rig_id(run.manifest.rig))
     if run.damage:
         tell(f"{file}: {run.damage}; the undamaged part is played")
     where = listen or own_endpoint(rig)
     count = 0
     # Ctrl-C is a normal end.
-    with staged(where, rig, run.channels) as stage, suppress(KeyboardInterrupt):
+    with open_stage(where, rig, run.channels) as stage, suppress(KeyboardInterrupt):
         seconds = run.seconds / speed
         facts = {"rig": rig, "endpoint": where, "messages": len(run), "samples": run.samples.size}
         print_result(
             facts | {"seconds": seconds},
             f"{rig} at {where}: {plural(len(run), 'message')} in {digits(seconds, 3)} s; Ctrl-C "
             "ends it",
-            f"in a second terminal: armrig watch{naming(rig, listen)}",
+            f"in a second terminal: armrig watch{option_for_rig(rig, listen)}",
             json=json,
         )
         while True:
@@ -849,4 +863,4 @@ def play(
         {"rig": rig, "published": count}, f"published {plural(count, 'message')}", json=json
     )
     if not json:
-        say_next("info", file=typed(file))
+        say_next("info", file=command_line_name(file))

@@ -29,36 +29,38 @@ _MIN_SIMILARITY = 0.6
 _FILES = (RECORDING, ".active", *DATA, ".json", ".pdf")
 
 
-def usage_error(err: Any, given: Sequence[str]) -> str:
+def usage_error(err: Any, arguments: Sequence[str]) -> str:
     """Return a message with the error in the arguments and the command that shows the help."""
-    where = err.ctx.command_path if err.ctx else " ".join(["armrig", *given[:1]])
+    where = err.ctx.command_path if err.ctx else " ".join(["armrig", *arguments[:1]])
     kind = type(err).__name__
     if kind == "MissingParameter" and err.param is not None:
-        what = _missing(err.param) + _example(err.ctx)
+        problem = _missing(err.param) + _example(err.ctx)
     elif kind == "NoSuchOption":
-        what = _no_option(err, given)
+        problem = _no_option(err, arguments)
     elif kind == "BadOptionUsage":
-        what = _plainly(err.format_message())
-        what = re.sub(
-            r"^Option '(.+?)' requires an argument$", r"\1 is given without a value", what
+        problem = _plainly(err.format_message())
+        problem = re.sub(
+            r"^Option '(.+?)' requires an argument$", r"\1 is given without a value", problem
         )
     elif extra := re.match(
         r"Got unexpected extra arguments?(?:\(s\))? \((.+)\)$", err.format_message()
     ):
-        what = _too_many(extra[1], err.ctx)
+        problem = _too_many(extra[1], err.ctx)
     elif name := re.match(r"No such command '(.+?)'", err.format_message()):
-        what = _no_command(name[1], err.format_message())
+        problem = _no_command(name[1], err.format_message())
     else:
-        what = _plainly(err.format_message(), came=_value(getattr(err, "param", None), given))
-    return f"{what}; see `{where} --help`"
+        problem = _plainly(
+            err.format_message(), value=_value(getattr(err, "param", None), arguments)
+        )
+    return f"{problem}; see `{where} --help`"
 
 
 def _missing(parameter: Any) -> str:
     name = parameter.metavar
     if parameter.param_type_name == "option":
         name = " ".join(filter(None, (max(parameter.opts, key=len), name)))
-    what = (parameter.help or "").rstrip(".")
-    return f"{name} is missing" + (f": {what[:1].lower()}{what[1:]}" if what else "")
+    help_text = (parameter.help or "").rstrip(".")
+    return f"{name} is missing" + (f": {help_text[:1].lower()}{help_text[1:]}" if help_text else "")
 
 
 def _example(ctx: Any) -> str:
@@ -81,11 +83,11 @@ def _too_many(extra: str, ctx: Any) -> str:
     )
 
 
-def _no_option(err: Any, given: Sequence[str]) -> str:
+def _no_option(err: Any, arguments: Sequence[str]) -> str:
     name = err.option_name
-    whole = next((text for text in given if text.startswith(name)), name)
-    if not name.startswith("--") and len(whole) > 2:
-        return f"no such option: {whole}; a name of several letters has two dashes, -{whole}"
+    word = next((text for text in arguments if text.startswith(name)), name)
+    if not name.startswith("--") and len(word) > 2:
+        return f"no such option: {word}; a name of several letters has two dashes, -{word}"
     if err.ctx is not None and err.ctx.parent is None:
         return f"no such option: {name}; options follow the command, armrig COMMAND {name}"
     near = _near(name, err)
@@ -113,17 +115,17 @@ def _no_command(name: str, message: str) -> str:
     return f"no such command '{name}'" + (f": did you mean {' or '.join(near)}?" if near else "")
 
 
-def _value(parameter: Any, given: Sequence[str]) -> str:
+def _value(parameter: Any, arguments: Sequence[str]) -> str:
     """Return the value that was given to an option; "" if it is not known."""
     options = getattr(parameter, "opts", ())
-    for i, text in enumerate(given):
+    for i, text in enumerate(arguments):
         name, _, value = text.partition("=")
         if name in options:
-            return value or (given[i + 1] if i + 1 < len(given) else "")
+            return value or (arguments[i + 1] if i + 1 < len(arguments) else "")
     return ""
 
 
-def _plainly(message: str, came: str = "") -> str:
+def _plainly(message: str, value: str = "") -> str:
     """Return a message of typer in armrig's words, with the option and the allowed values."""
     message = message.strip().rstrip(".")
     for theirs, ours in (
@@ -139,13 +141,13 @@ def _plainly(message: str, came: str = "") -> str:
     if choice := re.match(r"\S+: '(.+?)' is not one of (.+)$", message):
         near = get_close_matches(choice[1], re.findall(r"'([^']+)'", choice[2]), n=1)
         message += f": did you mean {near[0]}?" if near else ""
-    if came and (found := re.match(r"(\S+): (must be .*)$", message)):
-        message = f"{found[1]} {came}: {found[2]}"
-        if "number" in found[2] and re.fullmatch(r"-?\d*,\d+", came):
-            message += f", decimals have a point: {came.replace(',', '.')}"
-        elif "number" in found[2] and (unit := re.fullmatch(r"(-?[\d.]+) ?([a-zA-Zµ]+)", came)):
+    if value and (parts := re.match(r"(\S+): (must be .*)$", message)):
+        message = f"{parts[1]} {value}: {parts[2]}"
+        if "number" in parts[2] and re.fullmatch(r"-?\d*,\d+", value):
+            message += f", decimals have a point: {value.replace(',', '.')}"
+        elif "number" in parts[2] and (unit := re.fullmatch(r"(-?[\d.]+) ?([a-zA-Zµ]+)", value)):
             message += f" without its unit, such as {_in_whole_units(unit[1], unit[2])}"
-        elif "integer" in found[2] and re.search(r"[,:]", came):
+        elif "integer" in parts[2] and re.search(r"[,:]", value):
             message += "; --search tries several"
     return message
 

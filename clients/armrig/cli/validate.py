@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import InputError
-from armrig_core.process.options import argument, chosen, noted
+from armrig_core.process.options import argument, extend, preset
 from armrig_core.process.printable import printable
 
 import armrig
@@ -21,10 +21,10 @@ from armrig.cli.next_step import (
     REASONS,
     after_validate,
     chassis,
+    command_line_name,
     path_texts,
     say_handout,
     say_next,
-    typed,
 )
 from armrig.cli.options import CalibrationFile, Json, ModelFile, ModelOrders
 from armrig.cli.printing import (
@@ -40,7 +40,7 @@ from armrig.cli.printing import (
     tell_findings,
 )
 from armrig.data.finding import OWN_DATA
-from armrig.numerics.quantities import listed
+from armrig.numerics.quantities import join_names
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
@@ -61,10 +61,10 @@ def validate(
     file: recorded_data.DataFile,
     model: ModelFile,
     signals: Annotated[recorded_data.SignalChoice, recorded_data.data_group(without="assume")],
-    horizon: list[int] | None = chosen(
+    horizon: list[int] | None = preset(
         None, "Prediction horizon, in samples; repeatable.", "1 and 10", min=1
     ),
-    lags: int | None = chosen(None, "Number of lags in the tests of the residuals.", "25", min=1),
+    lags: int | None = preset(None, "Number of lags in the tests of the residuals.", "25", min=1),
     out: results.ShownFigure,
 ) -> None:
     """Validate a model on a recording or other data.
@@ -88,21 +88,23 @@ def validate(
     def facts() -> dict[str, Any]:
         errors = "fit_percent rms_error"
         ahead = [{"horizon": t.horizon} | error_facts(t.rows, errors) for t in predicted]
-        of = {"model": str(model), "identified_from": fit.source}
-        return of | residual_facts(data, simulated.rows, tests) | {"ahead": ahead}
+        model_facts = {"model": str(model), "identified_from": fit.source}
+        return model_facts | residual_facts(data, simulated.rows, tests) | {"ahead": ahead}
 
     def say_validation() -> None:
         first = f"Simulated, {fit.heading} fits {simulation(simulated.rows)}."
         say_answer(f"{first}\n{tests_sentence(tests)}.")
-        for found in in_open_loop(data):
-            if not found.linear:
-                say(f"Linearity of {found.input} to {found.output}: {found.line}.")
+        for test in in_open_loop(data):
+            if not test.linear:
+                say(f"Linearity of {test.input} to {test.output}: {test.line}.")
         _say_predictions(simulated, predicted)
         counts = [str(q.N) for q in fit.quality]
-        known = [str(n) for n in data.signals().valid.sum(axis=0)]
+        valid_counts = [str(n) for n in data.signals().valid.sum(axis=0)]
         say(
-            f"{input_and_output(fit)}; estimated from {listed([*dict.fromkeys(counts)])} samples, "
-            f"validated on {listed([*dict.fromkeys(known)])} samples of {typed(file)}; "
+            f"{input_and_output(fit)}; estimated from {join_names([*dict.fromkeys(counts)])} "
+            "samples, "
+            f"validated on {join_names([*dict.fromkeys(valid_counts)])} samples of "
+            f"{command_line_name(file)}; "
             f"{simulated.note}",
             dim=True,
         )
@@ -134,16 +136,16 @@ def _say_predictions(simulated: ComparisonTable, predicted: Sequence[ComparisonT
 
     rms = [row.rms_error for row in simulated]
     same = [
-        one.horizon
-        for one in predicted
-        if np.allclose([row.rms_error for row in one], rms, _ROUNDING, 0)
+        table.horizon
+        for table in predicted
+        if np.allclose([row.rms_error for row in table], rms, _ROUNDING, 0)
     ]
     if same:
         ahead = " and ".join(map(str, same))
         say(f"Predicted {ahead} ahead, it fits equally well: the model has no noise model.")
-    for one in predicted:
-        if one.horizon not in same:
-            say("\n".join(_ahead_lines(one)))
+    for table in predicted:
+        if table.horizon not in same:
+            say("\n".join(_ahead_lines(table)))
 
 
 def _ahead_lines(table: ComparisonTable) -> Iterator[str]:
@@ -174,13 +176,13 @@ def compare(
     file: recorded_data.File,
     other: recorded_data.OtherFile = None,
     orders: ModelOrders,
-    model: list[Path] | None = chosen(
+    model: list[Path] | None = preset(
         None, "Model file written by identify --save; repeatable.", metavar="JSON"
     ),
-    horizon: int | None = chosen(
+    horizon: int | None = preset(
         None, "Prediction horizon, in samples.", "none, the models are simulated", min=1
     ),
-    given: physics.Given = None,
+    settings: physics.Given = None,
     part: recorded_data.Part,
     out: results.ShownFigure,
 ) -> None:
@@ -193,7 +195,7 @@ def compare(
     from armrig.cli import model_output
     from armrig.recordings.usability import emulation
 
-    changed = physics.physics_beside(given) if given else {}
+    changed = physics.physics_beside(settings) if settings else {}
     if other is None and not model:
         raise typer.BadParameter(
             "give a second recording to validate with, or the models to compare, --model FILE "
@@ -201,15 +203,15 @@ def compare(
         )
     files = [file] if other is None else [file, other]
     saved = [(path.stem, armrig.load_fit(path)) for path in model or []]
-    _check_signals(saved, alone=other is None and not given)
+    _check_signals(saved, alone=other is None and not settings)
     if other is None:
-        models, data, where = saved, part.recorded(file, saved[0][1]), typed(file)
+        models, data, where = saved, part.recorded(file, saved[0][1]), command_line_name(file)
         recordings = part.read
     else:
         from armrig.physics.systems import HANDOUT
 
         recordings = part.recordings(*files)
-        models, data, where = _studied(recordings, saved, orders)
+        models, data, where = _estimate_models(recordings, saved, orders)
         changed.pop(HANDOUT, None)  # the handout's model is in the comparison already
     if changed:
         of_one = data.signals().dataset()
@@ -234,7 +236,7 @@ def compare(
     def say_after() -> None:
         columns = data.signals()
         channel = part.of_channel(columns.outputs[0], columns.inputs[0], data)
-        say_next("check", file=typed(file), given=channel.options(data))
+        say_next("check", file=command_line_name(file), given=channel.options(data))
 
     out.show(
         facts=lambda: {
@@ -259,7 +261,7 @@ def _check_signals(saved: Sequence[tuple[str, armrig.Fit]], *, alone: bool) -> N
         )
 
 
-def _studied(
+def _estimate_models(
     recordings: list[armrig.Recording], saved: list[tuple[str, armrig.Fit]], orders: dict[str, Any]
 ) -> tuple[list[tuple[str, armrig.Fit]], Dataset | Signals, str]:
     """Estimate ARX and OE models; return all models, the validation data and their name."""
@@ -267,7 +269,7 @@ def _studied(
 
     with estimating("na, nb and nf"):
         done = study(recordings, orders=Orders(**orders))
-    where = typed(done.recording_of(done.validation.source).path)
+    where = command_line_name(done.recording_of(done.validation.source).path)
     if done.halves:
         where += ", its second half (the models are estimated from its first half)"
     models = [(row.name, row.model) for row in done.models]
@@ -286,7 +288,7 @@ def check(
     *,
     file: recorded_data.DataFile,
     signals: Annotated[recorded_data.SignalChoice, recorded_data.data_group()],
-    level: float = chosen(0.05, "Significance level of the tests for feedback and linearity."),
+    level: float = preset(0.05, "Significance level of the tests for feedback and linearity."),
     out: results.Shown,
 ) -> None:
     """Test the data for feedback, a delay and a nonlinearity.
@@ -310,31 +312,33 @@ def check(
     tests = {name: (loop, delays[name], linears[name]) for name, loop in loops.items()}
 
     def say_tests() -> None:
-        for channel, found in tests.items():
+        for channel, outcomes in tests.items():
             recorded_data.say_channel(channel)
-            for (which, number), one in zip(_TESTS.items(), found, strict=True):
+            for (which, number), outcome in zip(_TESTS.items(), outcomes, strict=True):
                 where = f"{which} (handout {number})" if number and of_arm else which
-                if isinstance(one, str):
-                    say(f"{where}: not known: {one}")
+                if isinstance(outcome, str):
+                    say(f"{where}: not known: {outcome}")
                     continue
-                brief = repr(one) if number else one.line
-                first, *more = (one.explain() if out.verbose else brief).splitlines()
+                brief = repr(outcome) if number else outcome.line
+                first, *more = (outcome.explain() if out.verbose else brief).splitlines()
                 verdict = first.removeprefix("open loop: ")
                 say_answer("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
 
-    def figures(found: _Tests) -> dict[str, results.Draw]:
-        loop, late, _ = found
+    def figures(outcomes: _Tests) -> dict[str, results.Draw]:
+        loop, late, _ = outcomes
         shows_loop = not isinstance(loop, str) and loop.sims is not None
         drawn = {"open_loop": loop if shows_loop else "", "delay": late}
-        return {name: one.plot for name, one in drawn.items() if not isinstance(one, str)}
+        return {
+            name: outcome.plot for name, outcome in drawn.items() if not isinstance(outcome, str)
+        }
 
     def say_after() -> None:
         if not recorded:
-            say_next("hints", file=typed(file), given=signals.options())
+            say_next("hints", file=command_line_name(file), given=signals.options())
         elif signals.read[0].decisions:
-            say_next("control", file=typed(file), given=signals.options())
+            say_next("control", file=command_line_name(file), given=signals.options())
         elif not signals.read[0].description.arm:
-            say_next("report", file=typed(file))
+            say_next("report", file=command_line_name(file))
         elif signals.read[0].manifest.kind == "greybox":
             say_next("integrate")
         elif alone := chassis(signals.origin):
@@ -357,30 +361,34 @@ def linearity(
     *,
     file: recorded_data.DataFile,
     signals: Annotated[recorded_data.SignalChoice, recorded_data.data_group()],
-    level: float = chosen(0.05, "Significance level of the test."),
+    level: float = preset(0.05, "Significance level of the test."),
     out: results.Shown,
 ) -> None:
     """Test whether the rig is linear; name a nonlinearity."""
     data = signals.of(file)
-    found = recorded_data.by_channel(partial(armrig.linearity, level=level), data)
-    recorded_data.require_result(found.values())
-    nonlinear = {name: one for name, one in found.items() if not getattr(one, "linear", True)}
+    outcomes = recorded_data.by_channel(partial(armrig.linearity, level=level), data)
+    recorded_data.require_result(outcomes.values())
+    nonlinear = {
+        name: outcome for name, outcome in outcomes.items() if not getattr(outcome, "linear", True)
+    }
 
     def say_test() -> None:
-        for channel, one in found.items():
+        for channel, outcome in outcomes.items():
             recorded_data.say_channel(channel)
-            say_answer(one.explain() if out.verbose and not isinstance(one, str) else str(one))
+            say_answer(
+                outcome.explain() if out.verbose and not isinstance(outcome, str) else str(outcome)
+            )
 
     out.show(
-        facts=lambda: recorded_data.facts_by_channel(data, found, _linearity_facts),
+        facts=lambda: recorded_data.facts_by_channel(data, outcomes, _linearity_facts),
         say=say_test,
         figures=lambda: results.figures_by_channel(nonlinear, lambda one: {"linearity": one.plot}),
-        say_next=lambda: say_next("hints", file=typed(file), given=signals.options()),
+        say_next=lambda: say_next("hints", file=command_line_name(file), given=signals.options()),
     )
 
 
-def _test_facts(found: _Tests) -> dict[str, Any]:
-    loop, late, straight = found
+def _test_facts(outcomes: _Tests) -> dict[str, Any]:
+    loop, late, straight = outcomes
     facts = {"open_loop": _loop_facts(loop), "delay": _delay_facts(late)}
     return facts | {"linearity": _linearity_facts(straight)}
 
@@ -396,14 +404,14 @@ def _loop_facts(loop: OpenLoop | str) -> dict[str, Any]:
 def _delay_facts(late: Delay | str) -> dict[str, Any]:
     if isinstance(late, str):
         return {"nk": None, "told": False, "remarks": [late]}
-    of = "interval integrator level p_values before misfit t_q remarks"
-    return fields_of(late, "nk delay") | {"told": late.told} | fields_of(late, of)
+    names = "interval integrator level p_values before misfit t_q remarks"
+    return fields_of(late, "nk delay") | {"told": late.told} | fields_of(late, names)
 
 
-def _linearity_facts(found: Linearity | str) -> dict[str, Any]:
-    if isinstance(found, str):
-        return {"linear": None, "remarks": [found]}
-    return fields_of(found, "linear p level kind numbers rails gain_of levels gains remedy remarks")
+def _linearity_facts(test: Linearity | str) -> dict[str, Any]:
+    if isinstance(test, str):
+        return {"linear": None, "remarks": [test]}
+    return fields_of(test, "linear p level kind numbers rails gain_of levels gains remedy remarks")
 
 
 def report(
@@ -412,8 +420,8 @@ def report(
         list[Path] | None,
         argument("F…", "Recordings (*.mcap) or their @names.", parser=recorded_data.recording_path),
     ] = None,
-    output: Path = chosen(Path("report.pdf"), "PDF to write.", names="-o --output PDF"),
-    signal: list[str] | None = chosen(
+    output: Path = preset(Path("report.pdf"), "PDF to write.", names="-o --output PDF"),
+    signal: list[str] | None = preset(
         None,
         "Output of the models; repeatable, for models of several outputs. The orders apply to "
         "theta_1 of the arm; na, nb and nf of a model of alpha are one less.",
@@ -422,28 +430,28 @@ def report(
     ),
     orders: ModelOrders,
     calibration: CalibrationFile = None,
-    model: Path | None = chosen(
+    model: Path | None = preset(
         None,
         "Model of a run in control.",
         "the model that the run's law names",
         names="--model MODEL",
     ),
-    force: bool = chosen(False, "Overwrite an existing PDF."),
-    handout: bool = chosen(
+    force: bool = preset(False, "Overwrite an existing PDF."),
+    handout: bool = preset(
         False,
         "Write a section for each assignment, at most ten pages in total. The recordings F… "
         "are then optional.",
     ),
-    questions: Path | None = chosen(
+    questions: Path | None = preset(
         None, "New file for the handout's questions; no report is written.", metavar="TOML"
     ),
-    answers: Path | None = chosen(
+    answers: Path | None = preset(
         None, "File with names, registration numbers and reasons (--handout).", metavar="TOML"
     ),
-    given: Annotated[list[str] | None, noted(physics.OF_CHANGES, " (--handout)")] = None,
-    amplitude: Annotated[float, noted(physics.OF_AMPLITUDE, " (--handout)")] = physics.AMPLITUDE_V,
-    omega: Annotated[float, noted(physics.OF_OMEGA, " (--handout)")] = physics.OMEGA,
-    source: Path | None = chosen(
+    settings: Annotated[list[str] | None, extend(physics.OF_CHANGES, " (--handout)")] = None,
+    amplitude: Annotated[float, extend(physics.OF_AMPLITUDE, " (--handout)")] = physics.AMPLITUDE_V,
+    omega: Annotated[float, extend(physics.OF_OMEGA, " (--handout)")] = physics.OMEGA,
+    source: Path | None = preset(
         None, "New folder for the Typst source and its figures.", metavar="FOLDER"
     ),
     json: Json = False,
@@ -465,14 +473,14 @@ def report(
         if not json:
             _say_next_answers(files, questions)
         return
-    of_handout = {"--answers": answers, "--set": given}
+    of_handout = {"--answers": answers, "--set": settings}
     _check_options(files, outputs, handout, of_handout)
     results.check_output(output, files, "-o", "a report is a PDF", ".pdf")
     if output.exists() and not force:
         raise InputError(f"-o {output}: exists; --force overwrites it, or give another name")
     if handout:
         problem: dict[str, Any] = {"amplitude": amplitude, "omega": omega, "orders": orders}
-        problem["cases"] = physics.cases(given) if given else None
+        problem["cases"] = physics.cases(settings) if settings else None
         recordings, typeset = _handout_report(files, calibration, answers, **problem)
     elif control := _control_run(files, model):
         recordings, typeset = [control.run], partial(control_report, control)
@@ -565,7 +573,7 @@ def _study_report(
     from armrig.report.document import report as typeset
     from armrig.report.study import Orders, study
 
-    recordings = recorded_data.loaded(files, calibration)
+    recordings = recorded_data.load_recordings(files, calibration)
     _report_ignored(recordings)
     with estimating("na, nb and nf"):
         done = study(_of_files(recordings), orders=Orders(**orders), outputs=outputs)
@@ -590,13 +598,13 @@ def _handout_report(
     from armrig.report.handout_study import handout_study
     from armrig.report.study import Orders
 
-    said = Answers() if answers is None else read_answers(answers)
-    recordings = recorded_data.loaded(files, calibration, one_plant=False)
+    answer_set = Answers() if answers is None else read_answers(answers)
+    recordings = recorded_data.load_recordings(files, calibration, one_plant=False)
     for recording in recordings:
         recorded_data.require_arm(recording)
     with estimating("na, nb and nf"):
         done = handout_study(_of_files(recordings), orders=Orders(**orders), **problem)
-    return recordings, partial(handout_report, done, answers=said)
+    return recordings, partial(handout_report, done, answers=answer_set)
 
 
 def _of_files(recordings: Sequence[armrig.Recording]) -> list[armrig.Recording]:

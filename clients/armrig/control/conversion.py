@@ -34,8 +34,8 @@ from armrig_core.control.control_law import (
     Reference,
 )
 from armrig_core.errors import InputError, InputTypeError
-from armrig_core.process.calls import checked_call
-from armrig_core.rig.description import Description, shipped
+from armrig_core.process.calls import with_argument_checks
+from armrig_core.rig.description import Description, builtin
 from armrig_core.telemetry.channels import SYMBOLS
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, eigvals, schur
@@ -59,7 +59,7 @@ _LEAST_SAMPLES = 2
 """Least tracking time by default, in samples."""
 
 
-@checked_call
+@with_argument_checks
 def control_law(
     C: Any,
     *,
@@ -138,9 +138,9 @@ def control_law(
     A PI controller of a heater, in V, designed on P(z)/z:
 
     >>> import control
-    >>> from armrig_core.rig.description import shipped
+    >>> from armrig_core.rig.description import builtin
     >>> C = control.tf([0.2, -0.199], [1, -1], 1.0)
-    >>> law = armrig.control_law(C, outputs="T1", reference=(23, 60), rig=shipped("heater"),
+    >>> law = armrig.control_law(C, outputs="T1", reference=(23, 60), rig=builtin("heater"),
     ...                          unit="V", u0=0.5, y0=28)
     >>> law.order, law.x0, law.u0
     (2, (0.0, 28.0), 0.5)
@@ -278,7 +278,7 @@ def _outputs(
                 f"outputs={names}: these are no outputs of the arm; give the description of their "
                 "rig, rig="
             )
-        rig = shipped("arm")
+        rig = builtin("arm")
     if unknown := [name for name in names if name not in rig.outputs]:
         raise InputError(
             f"outputs: the rig {rig.rig.name} has no {unknown[0]}; it has {', '.join(rig.outputs)}"
@@ -292,15 +292,15 @@ def _outputs(
 
 def _scale(rig: Description, unit: str | None) -> tuple[float, float]:
     """Return the value of 1 V and of 0 V in the unit of the controller's output."""
-    own = rig.input
-    if unit is None and own.is_scaled:
+    u = rig.input
+    if unit is None and u.is_scaled:
         raise InputError(
-            f"the input {own.name} is in {own.unit}, {own.per_volt:g} {own.unit} per volt at the "
-            f"pin: give the unit of the output of C, unit='V' or unit='{own.unit}'"
+            f"the input {u.name} is in {u.unit}, {u.per_volt:g} {u.unit} per volt at the "
+            f"pin: give the unit of the output of C, unit='V' or unit='{u.unit}'"
         )
-    if unit not in (None, "V", own.unit):
-        raise InputError(f"unit={unit!r}: allowed are 'V' and '{own.unit}', that of {own.name}")
-    return (own.per_volt, own.offset) if own.is_scaled and unit == own.unit else (1.0, 0.0)
+    if unit not in (None, "V", u.unit):
+        raise InputError(f"unit={unit!r}: allowed are 'V' and '{u.unit}', that of {u.name}")
+    return (u.per_volt, u.offset) if u.is_scaled and unit == u.unit else (1.0, 0.0)
 
 
 def _operating_outputs(y0: float | Sequence[float], outputs: Sequence[LawOutput]) -> Vector:
@@ -320,10 +320,10 @@ def _operating_outputs(y0: float | Sequence[float], outputs: Sequence[LawOutput]
 def _design_of(model: Any, rig: Description, Ts: float, names: list[str]) -> DesignModel:
     """Return a model whose outputs include those of the law."""
     design = design_model(model, rig=rig, Ts=Ts)
-    known = [o.name for o in design.outputs]
-    if unknown := [name for name in names if name not in known]:
+    outputs = [o.name for o in design.outputs]
+    if unknown := [name for name in names if name not in outputs]:
         raise InputError(
-            f"the model predicts {', '.join(known)}, and not {unknown[0]}: give a model of the "
+            f"the model predicts {', '.join(outputs)}, and not {unknown[0]}: give a model of the "
             "law's outputs"
         )
     return design

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.plots.captions import labelled, legend
+from armrig.plots.captions import legend, symbol_of
 from armrig.plots.layout import (
     BLUE,
     GREY,
@@ -53,8 +53,8 @@ def plot_root_locus(check: LawCheck, *, ax: Axes | None = None) -> Axes:
         at = poles[np.argmin(np.abs(factors - factor))]
         name = "gain 20 % lower and higher" if factor < 1 else "_"
         ax.plot(at.real, at.imag, "o", color=VERMILION, ms=3, label=name)
-    own = poles[np.argmin(np.abs(factors - 1))]
-    ax.plot(own.real, own.imag, "x", color=INK, ms=7, label="poles of the loop")
+    nominal = poles[np.argmin(np.abs(factors - 1))]
+    ax.plot(nominal.real, nominal.imag, "x", color=INK, ms=7, label="poles of the loop")
     ax.set_aspect("equal")
     ax.set_xlim(-1.3, 1.3)
     ax.set_ylim(-1.3, 1.3)
@@ -142,7 +142,7 @@ def plot_law_steps(check: LawCheck, *, ax: Axes | None = None) -> Axes:
     ax.plot(steps.t, steps.z[0], color=BLUE, label="model")
     below.step(steps.t, steps.u[0], where="post", color=BLUE)
     unit = f" [{reference.unit}]" if reference.unit else ""
-    ax.set_ylabel(f"{labelled(reference.name)}{unit}")
+    ax.set_ylabel(f"{symbol_of(reference.name)}{unit}")
     below.set_ylabel("change of $u$ [V]")
     below.set_xlabel("$t$ [s]")
     finish(ax, below, xlim=(0.0, float(steps.t[-1])))
@@ -150,34 +150,34 @@ def plot_law_steps(check: LawCheck, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_loop_comparison(found: LoopComparison, *, ax: Axes | None = None) -> Axes:
+def plot_loop_comparison(comparison: LoopComparison, *, ax: Axes | None = None) -> Axes:
     """Plot a run in control next to its prediction: the variable that follows r, and the voltage.
 
     The band contains 95 % of the draws of the model; the lighter one has twice the noise of the
     measurement, too.
     """
     ax, below = panels(ax, 0.42)
-    reference, t = found.law.reference, found.t
-    low, high = found.band()
-    if not np.isnan(found.noise):
-        wide = 2 * found.noise
+    reference, t = comparison.law.reference, comparison.t
+    low, high = comparison.band()
+    if not np.isnan(comparison.noise):
+        wide = 2 * comparison.noise
         ax.fill_between(t, low - wide, high + wide, color=GREY, alpha=0.2, lw=0, label="noise")
-    if len(found.predicted) > 1:
+    if len(comparison.predicted) > 1:
         ax.fill_between(t, low, high, label="95 % of the draws", **_BAND)
-        low, high = np.percentile(found.predicted_u[1:], _EDGES, axis=0)
+        low, high = np.percentile(comparison.predicted_u[1:], _EDGES, axis=0)
         below.fill_between(t, low, high, step="post", **_BAND)
-    ax.step(t, found.r, where="post", color=INK, lw=0.8, ls="--", label="$r$")
-    ax.plot(t, found.z, color=VERMILION, lw=0.8, label="measured")
-    ax.plot(t, found.predicted[0], color=BLUE, label="predicted")
-    below.step(t, found.u, where="post", color=VERMILION, lw=0.8)
-    below.step(t, found.predicted_u[0], where="post", color=BLUE)
-    for limit in (found.law.lo, found.law.hi):
+    ax.step(t, comparison.r, where="post", color=INK, lw=0.8, ls="--", label="$r$")
+    ax.plot(t, comparison.z, color=VERMILION, lw=0.8, label="measured")
+    ax.plot(t, comparison.predicted[0], color=BLUE, label="predicted")
+    below.step(t, comparison.u, where="post", color=VERMILION, lw=0.8)
+    below.step(t, comparison.predicted_u[0], where="post", color=BLUE)
+    for limit in (comparison.law.lo, comparison.law.hi):
         below.axhline(limit, color=INK, lw=0.6)
-    if found.prelude:
+    if comparison.prelude:
         for panel in (ax, below):
-            panel.axvspan(0.0, found.prelude * found.Ts, color=GREY, alpha=0.15, lw=0)
+            panel.axvspan(0.0, comparison.prelude * comparison.Ts, color=GREY, alpha=0.15, lw=0)
     unit = f" [{reference.unit}]" if reference.unit else ""
-    ax.set_ylabel(f"{labelled(reference.name)}{unit}")
+    ax.set_ylabel(f"{symbol_of(reference.name)}{unit}")
     below.set_ylabel("$u$ [V]")
     below.set_xlabel("$t$ [s]")
     finish(ax, below, xlim=(0.0, float(t[-1])))
@@ -206,8 +206,8 @@ def plot_loop_diagram(law: ControlLaw, *, ax: Axes | None = None) -> Axes:
         if name != "monitor" or law.monitor is not None:
             box = {"boxstyle": "round,pad=0.4", "fc": "white", "ec": BLUE}
             boxes[name] = ax.text(x, y, text, bbox=box, **style).get_bbox_patch()
-    measured = ", ".join(labelled(output.name) for output in law.outputs)
-    reference = labelled(law.reference.name)
+    measured = ", ".join(symbol_of(output.name) for output in law.outputs)
+    reference = symbol_of(law.reference.name)
 
     def connect(begin: tuple[float, float], end: str, label: str, at: tuple[float, float]) -> None:
         ax.annotate("", _BOXES[end][:2], begin, arrowprops=arrow | {"patchB": boxes[end]})

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
 from armrig_core.errors import InputError
-from armrig_core.process.calls import checked_call
+from armrig_core.process.calls import with_argument_checks
 from armrig_core.rig.description import Description
 
 from armrig.control.loop import (
@@ -18,20 +18,20 @@ from armrig.control.loop import (
     LawMatrices,
     Margins,
     are_stable,
-    closed_loop,
+    close_loop,
+    count_hidden_modes,
+    find_tracked_output,
     frequency_grid,
-    hidden_modes,
     loop_response,
     margins,
     margins_of_draws,
     simulate,
-    tracked,
 )
 from armrig.control.plant import DesignModel, Plant, design_model, doubts_about
 from armrig.control.requirement import requirement_of
 from armrig.models.state_space import Complex, Matrix, Vector
 from armrig.numerics.quantities import digits, plural
-from armrig.plots.layout import drawn_by
+from armrig.plots.layout import plot_method
 
 DRAWS = 500
 GAIN_SHARE = 0.2
@@ -47,7 +47,7 @@ _PASSED = 6.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Steps:
+class LawStepResponse:
     """Response to a step of r from rest, without limits of the input."""
 
     t: Vector
@@ -102,7 +102,7 @@ class LawCheck:
     corners: Mapping[str, Margins]
     """Margins on changed models, by name: the gain 20 % lower and higher, one more sample of
     delay."""
-    steps: Steps
+    steps: LawStepResponse
     omega: Vector
     """Frequencies, in rad/s, (nf,)."""
     L: Complex
@@ -199,7 +199,7 @@ class LawCheck:
         head = f"  {'':24} {'Ms':>6} {'gain':>7} {'phase/°':>7} {'delay/s':>9}"
         return "\n".join([self.verdict, head, *table])
 
-    plot = drawn_by("plot_law_steps", "a step of r with bands over the draws")
+    plot = plot_method("plot_law_steps", "a step of r with bands over the draws")
 
 
 def _range(band: Sequence[float], places: int) -> str:
@@ -216,7 +216,7 @@ def _time(band: Sequence[float]) -> str:
     return f"{_range(band, 2 if max(finite) < 10 else 0)} s"
 
 
-@checked_call
+@with_argument_checks
 def check_law(
     law: ControlLaw,
     model: Any,
@@ -260,10 +260,10 @@ def check_law(
     (1.34, 1.47)
     """
     Ts = law.Ts_us / 1e6
-    own = getattr(model, "Ts", getattr(model, "dt", None)) or Ts
-    if abs(own - Ts) > 1e-9 and not isinstance(own, bool):
+    dt = getattr(model, "Ts", getattr(model, "dt", None)) or Ts
+    if abs(dt - Ts) > 1e-9 and not isinstance(dt, bool):
         raise InputError(
-            f"the law has Ts = {Ts:g} s, and the model {own:g} s: give the model that the law was "
+            f"the law has Ts = {Ts:g} s, and the model {dt:g} s: give the model that the law was "
             "designed on"
         )
     design = design_model(
@@ -282,15 +282,15 @@ def check_law(
         doubts += ("the law has no monitor: it runs only with unmonitored=True (--unmonitored)",)
     plants = [p for p in design.draw(draws) if np.isfinite(p.A).all() and np.isfinite(p.B).all()]
     omega = frequency_grid(matrices, design.plant, Ts)
-    hidden = hidden_modes(closed_loop(matrices, [design.plant]))
+    hidden = count_hidden_modes(close_loop(matrices, [design.plant]))
     kinds = {
-        f"gain {-100 * GAIN_SHARE:.0f} %": design.plant.rescaled(1 - GAIN_SHARE),
-        f"gain +{100 * GAIN_SHARE:.0f} %": design.plant.rescaled(1 + GAIN_SHARE),
-        "one more sample of delay": design.plant.rescaled(delay=1),
+        f"gain {-100 * GAIN_SHARE:.0f} %": design.plant.rescale(1 - GAIN_SHARE),
+        f"gain +{100 * GAIN_SHARE:.0f} %": design.plant.rescale(1 + GAIN_SHARE),
+        "one more sample of delay": design.plant.rescale(delay=1),
     }
     every = [design.plant, *plants]
     L = loop_response(matrices, every, np.exp(1j * omega * Ts))
-    loops = closed_loop(matrices, every)
+    loops = close_loop(matrices, every)
     stable = are_stable(loops, hidden)
     return LawCheck(
         law=law,
@@ -312,7 +312,7 @@ def _steps(
     design: DesignModel,
     loops: ClosedLoop,
     height: float | None,
-) -> Steps:
+) -> LawStepResponse:
     """Return the responses of the model and the draws to a step of r."""
     sizes = np.abs(np.linalg.eigvals(loops.M[0]))
     slowest = float(sizes[sizes < 1 - 1e-7].max(initial=0.5))
@@ -320,15 +320,15 @@ def _steps(
     r = law.reference
     height = height or 0.1 * (r.high - r.low) or 1.0
     y, u = simulate(loops, np.full(N + 1, height))
-    i, is_rate = tracked(law, design)
+    i, is_rate = find_tracked_output(law, design)
     z = np.diff(y[..., i], axis=1) / design.Ts if is_rate else y[:, :-1, i]
     if is_rate:  # that of the sample before k
         z = np.hstack([np.zeros((len(z), 1)), z[:, :-1]])
-    return Steps(t=np.asarray(design.Ts * np.arange(N)), z=z, u=u[:, :N], height=height)
+    return LawStepResponse(t=np.asarray(design.Ts * np.arange(N)), z=z, u=u[:, :N], height=height)
 
 
 def _root_locus(law: LawMatrices, plant: Plant) -> tuple[Vector, Complex]:
     """Return factors of the plant's gain, and the poles of the closed loop at each of them."""
     factors = np.unique(np.append(np.geomspace(0.02, 50, 300), 1.0))
-    loops = closed_loop(law, [plant.rescaled(float(k)) for k in factors])
+    loops = close_loop(law, [plant.rescale(float(k)) for k in factors])
     return factors, loops.poles

@@ -22,7 +22,7 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from armrig.control.loop import LawMatrices, closed_loop, plant_response
+from armrig.control.loop import LawMatrices, close_loop, plant_response
 from armrig.control.plant import DesignModel, Plant
 from armrig.models.state_space import Matrix, StateSpace, Vector
 from armrig.numerics.quantities import plural
@@ -182,7 +182,7 @@ def _oscillates(plant: Plant) -> NDArray[np.bool_]:
 
 def _steady_gain(law: LawMatrices, plant: Plant) -> float:
     """Return the voltage that the closed loop holds at r = 1, in V."""
-    loop = closed_loop(law, [plant])
+    loop = close_loop(law, [plant])
     M, N = loop.M[0], loop.N[0]
     x = np.linalg.solve(_NEAR_ONE * np.eye(len(M)) - M, N)
     return float(loop.row @ x.real) + loop.D

@@ -121,8 +121,8 @@ class LawMatrices:
     def response(self, z: Complex) -> Complex:
         """Return the response (nf, ny) from y to v, with the law's own voltage as its input u."""
         n = self.C.size
-        own = self.B_u[:, None] * self.C
-        pencil = z[:, None, None] * np.eye(n) - self.A - own * z[:, None, None] ** -self.delay
+        BC = self.B_u[:, None] * self.C
+        pencil = z[:, None, None] * np.eye(n) - self.A - BC * z[:, None, None] ** -self.delay
         return np.asarray(
             self.C @ np.linalg.solve(pencil, np.broadcast_to(self.B_y, (z.size, *self.B_y.shape)))
         )
@@ -172,7 +172,7 @@ class ClosedLoop:
         return np.asarray(np.linalg.eigvals(self.M))
 
 
-def closed_loop(law: LawMatrices, plants: Sequence[Plant]) -> ClosedLoop:
+def close_loop(law: LawMatrices, plants: Sequence[Plant]) -> ClosedLoop:
     """Return the closed loops of a law with plants."""
     n, c = max(p.order for p in plants), law.C.size
     longest = max(law.delay, *(p.delay for p in plants))
@@ -183,15 +183,15 @@ def closed_loop(law: LawMatrices, plants: Sequence[Plant]) -> ClosedLoop:
     row[n + longest :] = law.C
     chain = slice(n, n + longest)
     for i, plant in enumerate(plants):
-        own = slice(0, plant.order)  # a dead time across a whole sample has one state less or more
-        M[i, own, own] = plant.A
+        span = slice(0, plant.order)  # a dead time across a whole sample has one state less or more
+        M[i, span, span] = plant.A
         if plant.delay:
-            M[i, own, n + plant.delay - 1] = plant.B
+            M[i, span, n + plant.delay - 1] = plant.B
         else:
-            M[i, own] += plant.B[:, None] * row
-            N[i, own] = plant.B * law.D
-        drive[i, own] = plant.B
-        C[i, :, own] = plant.C
+            M[i, span] += plant.B[:, None] * row
+            N[i, span] = plant.B * law.D
+        drive[i, span] = plant.B
+        C[i, :, span] = plant.C
     if longest:
         M[:, chain, chain] = np.eye(longest, k=-1)
         M[:, n] = row
@@ -208,7 +208,7 @@ def closed_loop(law: LawMatrices, plants: Sequence[Plant]) -> ClosedLoop:
     return ClosedLoop(M, N, drive, row, law.D, C)
 
 
-def hidden_modes(loop: ClosedLoop) -> int:
+def count_hidden_modes(loop: ClosedLoop) -> int:
     """Return the number of modes at 1 of the first loop that are not fed back.
 
     Control of a rate leaves the angle at exactly 1. Neither the law's voltage shows such a mode,
@@ -234,7 +234,7 @@ def frequency_grid(law: LawMatrices, plant: Plant, Ts: float) -> Vector:
     The lowest is a hundredth of the slowest pole or zero, or lower if |L| has not passed 1 there.
     The highest is the Nyquist frequency. Each lightly damped pole or zero has points of its own.
     """
-    opened = closed_loop(law, [plant])
+    opened = close_loop(law, [plant])
     M = opened.M[0].copy()
     n = plant.order
     if plant.delay:  # without the path from the law to the plant
@@ -271,8 +271,8 @@ def _L(law: LawMatrices, plant: Plant, omega: Vector, Ts: float) -> Complex:
 
 def margins(law: LawMatrices, plant: Plant, Ts: float) -> Margins:
     """Return the margins of a loop, refined between the points of the grid to rounding."""
-    loop = closed_loop(law, [plant])
-    if not are_stable(loop, hidden_modes(loop))[0]:
+    loop = close_loop(law, [plant])
+    if not are_stable(loop, count_hidden_modes(loop))[0]:
         return UNSTABLE
     w = frequency_grid(law, plant, Ts)
     L = _L(law, plant, w, Ts)
@@ -385,7 +385,7 @@ def simulate(loop: ClosedLoop, r: Vector, d: Vector | None = None) -> tuple[Any,
     return y, u
 
 
-def tracked(law: ControlLaw, model: DesignModel) -> tuple[int, bool]:
+def find_tracked_output(law: ControlLaw, model: DesignModel) -> tuple[int, bool]:
     """Return the index of the output that follows r, and True if its rate does."""
     names = [o.name for o in model.outputs]
     if law.reference.name in names:

@@ -14,17 +14,17 @@ import numpy as np
 from armrig_core.control.control_law import ControlLaw
 from armrig_core.control.evaluation import Latch, begin, decide, observe
 from armrig_core.errors import InputError
-from armrig_core.process.calls import checked_call
+from armrig_core.process.calls import with_argument_checks
 from armrig_core.rig.description import Description
 from armrig_core.rig.volts import code_of, volts_of
 from numpy.typing import NDArray
 
-from armrig.control.loop import tracked
+from armrig.control.loop import find_tracked_output
 from armrig.control.plant import DesignModel, Plant, design_model, doubts_about
 from armrig.control.requirement import requirement_of
 from armrig.models.state_space import Matrix, Vector
 from armrig.numerics.quantities import digits, plural
-from armrig.plots.layout import drawn_by
+from armrig.plots.layout import plot_method
 from armrig.recordings.files.control_run import ControlRun, control_run
 from armrig.recordings.recording import Recording
 
@@ -107,9 +107,9 @@ class LoopComparison:
         low, high = self.band()
         noise = 0.0 if np.isnan(self.noise) else _NOISE * self.noise
         z = self.z[self.prelude :]
-        known = np.isfinite(z)
+        finite = np.isfinite(z)
         within = (z >= low[self.prelude :] - noise) & (z <= high[self.prelude :] + noise)
-        return float(np.mean(within[known])) if known.any() else nan
+        return float(np.mean(within[finite])) if finite.any() else nan
 
     def band(self) -> tuple[Vector, Vector]:
         """Return the ends of the 95 % band of z over the draws, each (N,).
@@ -138,25 +138,25 @@ class LoopComparison:
     def _step(self, z: Vector, a: int, b: int) -> StepFigures:
         before, after = float(self.r[a - 1]), float(self.r[a])
         share = (z[a:b] - after) / (after - before)
-        known = np.isfinite(share)
-        outside = np.flatnonzero(known & (np.abs(share) > SETTLED))
+        finite = np.isfinite(share)
+        outside = np.flatnonzero(finite & (np.abs(share) > SETTLED))
         settled = int(outside[-1]) + 1 if outside.size else 0
-        if not known.any():
+        if not finite.any():
             settled = b - a
         return StepFigures(
             at=float(self.t[a]),
             before=before,
             after=after,
-            overshoot=100 * float(share[known].max(initial=0.0)) if known.any() else nan,
+            overshoot=100 * float(share[finite].max(initial=0.0)) if finite.any() else nan,
             settling=settled * self.Ts if settled < b - a else inf,
         )
 
     @property
     def worst_step(self) -> dict[str, float]:
         """Largest measured overshoot and settling of all steps, by name; NaN if one is unknown."""
-        measured = [one for one, _ in self.steps()]
+        measured = [figures for figures, _ in self.steps()]
         return {
-            name: float(np.max([getattr(one, name) for one in measured] or [nan]))
+            name: float(np.max([getattr(figures, name) for figures in measured] or [nan]))
             for name in ("overshoot", "settling")
         }
 
@@ -211,7 +211,7 @@ class LoopComparison:
         """Return the verdict."""
         return self.verdict
 
-    plot = drawn_by("plot_loop_comparison", "a run in control next to its prediction")
+    plot = plot_method("plot_loop_comparison", "a run in control next to its prediction")
 
 
 def _running_mean(x: Vector, count: int) -> Vector:
@@ -220,10 +220,10 @@ def _running_mean(x: Vector, count: int) -> Vector:
     The mean of fewer samples is no substitute: neighbouring errors of a rate cancel in the mean.
     """
     mean = np.convolve(x, np.ones(count) / count, "valid") if x.size >= count else x[:0]
-    known = np.flatnonzero(np.isfinite(mean))
-    if not known.size:
+    finite = np.flatnonzero(np.isfinite(mean))
+    if not finite.size:
         return np.full(x.size, nan)
-    return np.interp(np.arange(x.size), known + count // 2, mean[known])
+    return np.interp(np.arange(x.size), finite + count // 2, mean[finite])
 
 
 _WHICH = ("measured", "predicted")
@@ -237,7 +237,7 @@ def _seconds(value: float) -> str:
     return f"{digits(value, 3)} s" if np.isfinite(value) else "not reached"
 
 
-@checked_call
+@with_argument_checks
 def compare_loop(
     recording: Recording,
     model: Any,
@@ -300,7 +300,7 @@ def compare_loop(
         )
     doubts = doubts_about(law.design, design, validation)
     r, u = _of_decisions(run)
-    i, is_rate = tracked(law, design)
+    i, is_rate = find_tracked_output(law, design)
     plants = [design.plant, *design.draw(draws)]
     responses = [_response(law, plant, design, rig, r) for plant in plants]
     measured = _output_of_run(recording, names[i], run, r.size)

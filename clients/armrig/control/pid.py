@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
 from armrig_core.errors import InputError
-from armrig_core.process.calls import checked_call
+from armrig_core.process.calls import with_argument_checks
 from armrig_core.rig.description import Description
 from numpy.typing import NDArray
 
@@ -39,7 +39,7 @@ _ROUNDS = 7
 """Number of times that the grid of the gains is made finer."""
 
 
-@checked_call
+@with_argument_checks
 def pid(
     model: Any,
     *,

@@ -21,7 +21,7 @@ from armrig_core.control.control_law import MAX_TS_US, MIN_TS_US, LawOutput
 from armrig_core.errors import InputError, InputTypeError
 from armrig_core.process.printable import printable
 from armrig_core.rig.channels import COUNTS
-from armrig_core.rig.description import Description, Output, shipped
+from armrig_core.rig.description import Description, Output, builtin
 from armrig_core.rig.volts import U_MAX_V
 from armrig_core.telemetry.channels import INTEGRATING_OUTPUTS, SYMBOLS
 from scipy.linalg import block_diag
@@ -80,7 +80,7 @@ class Plant:
             return float(self.C[i, 0] * self.B[0])
         return float(self.C[i] @ np.linalg.solve(np.eye(self.order) - self.A, self.B))
 
-    def rescaled(self, gain: float = 1.0, delay: int = 0) -> Plant:
+    def rescale(self, gain: float = 1.0, delay: int = 0) -> Plant:
         """Return the plant with another gain and a longer dead time."""
         return Plant(
             A=self.A,
@@ -184,14 +184,14 @@ def _on_rig(
     if len(names) > 2:
         raise InputError(f"the model has {plural(len(names), 'output')}; a law uses at most two")
     if rig is None and {*names} <= {*SYMBOLS} and facts["input"] == "u":
-        rig = shipped("arm")
+        rig = builtin("arm")
     scale, offset, input = 1.0, facts["offset"], facts["input"]
-    hi, rest = U_MAX_V, 0.0
+    hi, rest_v = U_MAX_V, 0.0
     ranges, rates = [(-np.inf, np.inf)] * len(names), [f"{name}_rate" for name in names]
     turning = [False] * len(names)
     if rig is not None:
         _check_rig(facts, rig)
-        hi, rest = rig.input.u_max_v, rig.input.rest_v
+        hi, rest_v = rig.input.u_max_v, rig.input.rest_v
         if facts["input_unit"] == rig.input.unit:
             scale, offset = rig.input.per_volt, float(rig.input.volts(offset))
         described = [rig.outputs[name] for name in names]
@@ -204,7 +204,7 @@ def _on_rig(
             f"the input is in {facts['input_unit']}, and a law commands volts at the pin: name the "
             "rig, such as rig='tclab' (--rig-file tclab)"
         )
-    plant: Plant = facts["plant"].rescaled(scale)
+    plant: Plant = facts["plant"].rescale(scale)
     noise = np.asarray(facts["noise"])
     if rig is None:
         steps = [abs(plant.gain(i)) * hi / _STEPS for i in range(len(names))]
@@ -225,7 +225,7 @@ def _on_rig(
         offset, zeros = _zeros(plant, u0, y0, names.index(output) if output in names else 0)
     design = DesignModel(
         plant=plant,
-        draw=lambda n: [x.rescaled(scale) for x in facts["draw"](n)] if facts["covariance"] else [],
+        draw=lambda n: [x.rescale(scale) for x in facts["draw"](n)] if facts["covariance"] else [],
         Ts=facts["Ts"],
         input=input,
         outputs=tuple(
@@ -238,7 +238,7 @@ def _on_rig(
         u0=offset,
         lo=0.0,
         hi=hi,
-        rest=rest,
+        rest=rest_v,
         ranges=tuple(ranges),
         rates=tuple(rates),
         sha256=facts["sha256"],
@@ -257,10 +257,10 @@ def _zeros(plant: Plant, u0: float, y0: float | Sequence[float], i: int) -> tupl
 
     At u0 the outputs are y0; a single y0 is that of the first output.
     """
-    given, ny = np.atleast_1d(np.asarray(y0, np.float64)), len(plant.C)
-    if given.shape not in ((1,), (ny,)) or not np.isfinite(given).all():
+    outputs, ny = np.atleast_1d(np.asarray(y0, np.float64)), len(plant.C)
+    if outputs.shape not in ((1,), (ny,)) or not np.isfinite(outputs).all():
         raise InputError(f"y0={y0}: give a finite number for each of {plural(ny, 'output')}")
-    values = np.append(given, np.zeros(ny - given.size))
+    values = np.append(outputs, np.zeros(ny - outputs.size))
     if plant.integrator:
         return u0, np.where(plant.C[:, 0] != 0, 0.0, values)
     gains = np.array([plant.gain(j) for j in range(ny)])
@@ -285,10 +285,10 @@ def _check_rig(facts: dict[str, Any], rig: Description) -> None:
         )
     for name, unit in zip(facts["outputs"], facts["units"], strict=True):
         if name not in rig.outputs or unit not in ("", rig.outputs[name].unit):
-            known = ", ".join(f"{key} in {o.unit}" for key, o in rig.outputs.items())
+            rig_outputs = ", ".join(f"{key} in {o.unit}" for key, o in rig.outputs.items())
             raise InputError(
                 f"the model's output is {name} in {unit or 'no unit'}, and the rig {rig.rig.name} "
-                f"has {known}: this is a model of another rig"
+                f"has {rig_outputs}: this is a model of another rig"
             )
 
 
@@ -349,7 +349,7 @@ def _of_fit(fit: Fit, Ts: float | None, rig: Description | None) -> dict[str, An
         "outputs": fit.outputs,
         "units": fit.units,
         "noise": fit.noise_covariance,
-        "noise_model": form.realised() if form.realised().K.any() else None,
+        "noise_model": form.innovations_form() if form.innovations_form().K.any() else None,
         "offset": offset,
         "covariance": bool(P.any() and np.isfinite(P).all()),
         "treatment": codes_of(fit.history),

@@ -55,7 +55,7 @@ class Requirement:
         return [
             (
                 _QUANTITIES[name][0],
-                *(_text(name, one.get(name, nan)) for one in ({name: most}, *figures)),
+                *(_text(name, values.get(name, nan)) for values in ({name: most}, *figures)),
             )
             for name, most in self.facts.items()
         ]
@@ -64,8 +64,8 @@ class Requirement:
         """Return whether the figures of `subject` meet the requirement, as a sentence."""
         bounds = ", ".join(f"{quantity} at most {most}" for quantity, most in self.rows())
         if missed := self.misses(figures):
-            found = [f"{row[0]} {row[2]}" for row in self.rows(figures)]
-            wrong = [text for name, text in zip(self.facts, found, strict=True) if name in missed]
+            texts = [f"{row[0]} {row[2]}" for row in self.rows(figures)]
+            wrong = [text for name, text in zip(self.facts, texts, strict=True) if name in missed]
             return f"{subject} misses the requirement ({bounds}): {', '.join(wrong)}."
         return f"{subject} meets the requirement: {bounds}."
 

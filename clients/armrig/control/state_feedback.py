@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from armrig_core.control.control_law import MAX_STATES, ControlLaw, Reference
 from armrig_core.errors import InputError
-from armrig_core.process.calls import checked_call
+from armrig_core.process.calls import with_argument_checks
 from armrig_core.rig.description import Description
 from numpy.typing import ArrayLike
 from scipy.linalg import schur, solve_discrete_lyapunov
@@ -33,8 +33,8 @@ from armrig.control.law_monitor import (
 from armrig.control.loop import (
     LawMatrices,
     are_stable,
-    closed_loop,
-    hidden_modes,
+    close_loop,
+    count_hidden_modes,
     margins,
     plant_response,
 )
@@ -49,7 +49,7 @@ _MAX_MS = 10.0
 """Ms of the model above which a law is refused."""
 
 
-@checked_call
+@with_argument_checks
 def place(
     model: Any,
     poles: Sequence[complex],
@@ -125,7 +125,7 @@ def place(
     goal = Goal.of(design, output, rate, reference)
     s = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
     plant = _with_chain(design.plant)
-    A, B, modes = goal.controlled(plant)
+    A, B, modes = goal.feedback_modes(plant)
     _check_poles("poles", s, B.size, design.Ts)
     K = _place_poles(A, B, np.exp(s * design.Ts), plant.delay)
     if plant.delay and not _dominate(A, B, K, s * design.Ts, plant.delay):
@@ -143,7 +143,7 @@ def place(
     return _law(design, goal, plant, K, L, settings)
 
 
-@checked_call
+@with_argument_checks
 def lqg(
     model: Any,
     *,
@@ -195,7 +195,7 @@ def lqg(
     if not effort > 0:
         raise InputError(f"effort={effort:g} must be above 0")
     plant = _with_chain(design.plant)
-    A, B, modes = goal.controlled(plant)
+    A, B, modes = goal.feedback_modes(plant)
     weight = goal.weight(plant, design.Ts) @ modes.T
     L = _observer(design, plant, input_noise, drift, None)
 
@@ -254,7 +254,7 @@ class Goal:
                 "follow r, for a constant voltage does not hold it; choose another output"
             )
 
-    def controlled(self, plant: Plant) -> tuple[Matrix, Vector, Matrix]:
+    def feedback_modes(self, plant: Plant) -> tuple[Matrix, Vector, Matrix]:
         """Return A and B of the modes that are fed back, and the rows that give them from x.
 
         If the rate of the integrator follows r, the integrator is left out. The modes of a dead
@@ -277,8 +277,8 @@ class Goal:
         n = plant.order
         if self.is_rate:
             N_u = Ts / plant.gain(self.i)
-            rest = np.linalg.solve(np.eye(n - 1) - plant.A[1:, 1:], plant.B[1:] * N_u)
-            return np.append(0.0, rest), N_u
+            other_states = np.linalg.solve(np.eye(n - 1) - plant.A[1:, 1:], plant.B[1:] * N_u)
+            return np.append(0.0, other_states), N_u
         pencil = np.block([[plant.A - np.eye(n), plant.B[:, None]], [plant.C[self.i], np.zeros(1)]])
         x = np.linalg.solve(pencil, np.append(np.zeros(n), 1.0))
         return x[:-1], float(x[-1])
@@ -416,8 +416,8 @@ def _optimal_late(
             f"no law of this structure holds the plant with {plural(delay, 'sample')} of dead time"
         )
     size = np.where(K == 0, 1.0, K)
-    found = minimize(lambda x: cost(x * size), K / size, method="Nelder-Mead", tol=1e-9)
-    return np.asarray(found.x * size)
+    optimum = minimize(lambda x: cost(x * size), K / size, method="Nelder-Mead", tol=1e-9)
+    return np.asarray(optimum.x * size)
 
 
 def _observer(
@@ -518,8 +518,8 @@ def make_law(
 def require_margins(law: ControlLaw, design: DesignModel) -> ControlLaw:
     """Return the law with its predicted margins; refuse a law that its own model makes unstable."""
     matrices = LawMatrices.of(law, [o.name for o in design.outputs])
-    loop = closed_loop(matrices, [design.plant])
-    if not are_stable(loop, hidden_modes(loop))[0]:
+    loop = close_loop(matrices, [design.plant])
+    if not are_stable(loop, count_hidden_modes(loop))[0]:
         others = np.abs(loop.poles[0]).max()
         raise InputError(
             f"no law meets this: the loop would be unstable on its own model (a pole at |z| = "

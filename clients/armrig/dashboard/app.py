@@ -19,14 +19,14 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
-from armrig.dashboard.driver import BusyDriverError, Driver
-from armrig.dashboard.experiments import UNMONITORED, Experiment, plan_of, previewed
+from armrig.dashboard.driver import BusyDriverError, CommandSender
+from armrig.dashboard.experiments import UNMONITORED, ExperimentRequest, plan_of, previewed
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.guard import Connections
 from armrig.dashboard.laws import law_rows, recordings_folder
 from armrig.dashboard.page_json import page_json
 from armrig.dashboard.stream import Stream, TooManyViewersError, Viewer
-from armrig.recordings.files.recording_summary import shown_path
+from armrig.recordings.files.recording_summary import path_text
 from armrig.rig.session import RigError
 
 _Owner = Annotated[str, Meta(min_length=1, max_length=80)]
@@ -54,9 +54,9 @@ class _Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Ts: Annotated[float, Meta(gt=0, le=LONGEST_TS)] | None = None
 
 
-class _Wanted(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class _OwnedExperiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     owner: _Owner
-    experiment: Experiment
+    experiment: ExperimentRequest
 
 
 class _Noted(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -64,14 +64,14 @@ class _Noted(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     text: str
 
 
-class _Reference(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class _NewReference(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     r: float
 
 
 class RigRoutes:
     """Routes of the live rig for one listening socket, which has its own token."""
 
-    def __init__(self, feed: Feed, driver: Driver, stream: Stream) -> None:
+    def __init__(self, feed: Feed, driver: CommandSender, stream: Stream) -> None:
         """Prepare routes with the feed, the driver and the stream of the socket."""
         self._feed, self._driver, self._stream = feed, driver, stream
         # A stop has its own threads, so that it waits for no other request.
@@ -140,11 +140,11 @@ class RigRoutes:
         return {"recorded": self._driver.note(asked.text, asked.owner)}
 
     def _set_reference(self, body: bytes) -> Any:
-        self._driver.set_reference(msgspec.json.decode(body, type=_Reference).r)
+        self._driver.set_reference(msgspec.json.decode(body, type=_NewReference).r)
         return {"sent": True}
 
     def _preview(self, body: bytes) -> Any:
-        asked = msgspec.json.decode(body, type=Experiment)
+        asked = msgspec.json.decode(body, type=ExperimentRequest)
         if self._feed.status is None:
             raise RigError(self._feed.trouble)
         folder = self._folder_of(asked)
@@ -158,13 +158,13 @@ class RigRoutes:
             rows = law_rows(folder, status)
         except OSError as err:
             raise FileError(f"{folder}: {err.strerror}") from err
-        return {"folder": shown_path(folder), "laws": rows, "word": UNMONITORED}
+        return {"folder": path_text(folder), "laws": rows, "word": UNMONITORED}
 
     def _folder(self) -> Path:
         status = self._feed.status
         return recordings_folder(status, status.rig if status else "1")
 
-    def _folder_of(self, experiment: Experiment) -> Path | None:
+    def _folder_of(self, experiment: ExperimentRequest) -> Path | None:
         """Return the folder of an experiment's law; None for an experiment without a law."""
         return self._folder() if experiment.kind == "control" else None
 
@@ -172,7 +172,7 @@ class RigRoutes:
         asked_s = time.monotonic()  # read here: a start may wait for a thread, a stop does not
 
         def start(body: bytes) -> Any:
-            asked = msgspec.json.decode(body, type=_Wanted)
+            asked = msgspec.json.decode(body, type=_OwnedExperiment)
             plan = plan_of(asked.experiment, asked.owner, self._folder_of(asked.experiment))
             self._driver.start(plan, asked_s=asked_s)
             return {"started": True}

@@ -12,7 +12,7 @@ import numpy as np
 from armrig_core.commands.commands import OutputRange
 from armrig_core.process.printable import with_degrees
 from armrig_core.rig.channels import COUNTS, symbol
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from armrig_core.rig.volts import U_MAX_V
 from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Flag
@@ -143,7 +143,7 @@ def signals_of(
     return tuple(found)
 
 
-ARM_SIGNALS = signals_of(shipped("arm"))
+ARM_SIGNALS = signals_of(builtin("arm"))
 """Signals of the arm, the default rig."""
 
 

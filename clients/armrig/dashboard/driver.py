@@ -45,7 +45,7 @@ class BusyDriverError(OperationError):
     """Another command of the page is in progress."""
 
 
-class Driver:
+class CommandSender:
     """Sender of the page's commands, one at a time: arm, run, release. A stop is sent at once."""
 
     def __init__(self, *, rig: str, connect: str | None) -> None:
@@ -179,7 +179,7 @@ class Driver:
                 rig=self._rig,
                 connect=self._connect,
                 tell=lambda text: self._note(told=text),
-                shown=partial(self._shown, asked_s),
+                display=partial(self._shown, asked_s),
                 way_out="press Reset",
             )
             said = done.verdict.summary if done.verdict else "", done.shares

@@ -25,14 +25,14 @@ from armrig.excitation.from_file import from_text
 from armrig.excitation.named_signals import (
     check_step_time,
     details_of,
-    named_signal,
+    signal_by_name,
     step_at,
     up_and_down,
 )
 from armrig.excitation.pace import pace_inside
 from armrig.excitation.physical_experiment_design import arm_deviations
 from armrig.excitation.reference import profile_of, reference_input
-from armrig.rig.collection import Plan, planned_input
+from armrig.rig.collection import Plan, make_input
 
 _SECONDS = {"step": 5.0}  # default lengths of experiments that do not have `_DEFAULT_S`
 _DEFAULT_S = 30.0
@@ -48,7 +48,7 @@ _known: dict[tuple[bytes, bool, float], dict[str, Any]] = {}
 _Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{0,20}\Z", description="a-z, 0-9 and -")]
 
 
-class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ExperimentRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Request for an experiment; the fields are the options of `armrig collect`."""
 
     kind: Literal["step", "blackbox", "greybox", "staircase", "csv", "control"]
@@ -79,7 +79,7 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """The word `unmonitored` allows a law without a monitor."""
 
 
-def plan_of(experiment: Experiment, owner: str, folder: Path | None = None) -> Plan:
+def plan_of(experiment: ExperimentRequest, owner: str, folder: Path | None = None) -> Plan:
     """Return the plan that `armrig collect` would make for an experiment.
 
     `folder` contains the law of a run in control.
@@ -107,7 +107,7 @@ def plan_of(experiment: Experiment, owner: str, folder: Path | None = None) -> P
     )
 
 
-def _control_plan(experiment: Experiment, owner: str, folder: Path) -> Plan:
+def _control_plan(experiment: ExperimentRequest, owner: str, folder: Path) -> Plan:
     e, law = experiment, read_law(folder, experiment.law)
     Ts = law.Ts_us / 1e6
     if e.law_sha256 not in ("", law.sha256):
@@ -133,7 +133,7 @@ def _control_plan(experiment: Experiment, owner: str, folder: Path) -> Plan:
 
 
 def _input_of(
-    experiment: Experiment,
+    experiment: ExperimentRequest,
 ) -> tuple[Callable[[int, float], NDArray[np.float64]], dict[str, Any]]:
     """Return a function that computes u from N and Ts, and the details for the recording."""
     e, levels = experiment, {"low": experiment.low, "high": experiment.high}
@@ -155,7 +155,7 @@ def _input_of(
         )
     figures: dict[str, Any] = {"a": e.a, "seed": e.seed, **levels}
     return (
-        lambda N, Ts: named_signal(e.input, N, Ts, **figures),
+        lambda N, Ts: signal_by_name(e.input, N, Ts, **figures),
         details_of(e.input, **figures),
     )
 
@@ -199,7 +199,7 @@ class Preview(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def previewed(
-    experiment: Experiment,
+    experiment: ExperimentRequest,
     status: StatusReport,
     described: Description | None = None,
     folder: Path | None = None,
@@ -214,7 +214,7 @@ def previewed(
     notes, described = list[str](), described or status.described
     plan = plan_of(experiment, "preview", folder)
     Ts = plan.Ts or status.Ts
-    u = planned_input(plan, Ts, notes.append)
+    u = make_input(plan, Ts, notes.append)
     told = "not rehearsed: the description of this rig has no [model]"
     if plan.law:
         check_fits(plan.law, status)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from armrig_core.commands.commands import StatusReport
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from armrig_core.telemetry.telemetry import Sample
 
 from armrig.dashboard.bins import (
@@ -66,7 +66,7 @@ class News:
 
 
 @dataclass(slots=True)
-class Timing:
+class FeedTiming:
     """Timing of the rig."""
 
     late: list[int] = field(default_factory=lambda: [0] * (len(LATE_US) + 1))
@@ -98,13 +98,13 @@ class Feed:
         self._came_s = -np.inf
         self._late: deque[tuple[int, list[int]]] = deque(maxlen=_LATE_S)
         self._told: deque[Any] = deque(maxlen=MOST_TOLD)
-        self._timing = Timing()
+        self._timing = FeedTiming()
         self._phase = ""  # of the newest state heard
         self._states: deque[tuple[int, str]] = deque(maxlen=_MOST_STATES)  # time in ns, phase
         self._notes: deque[tuple[int, str]] = deque(maxlen=_MOST_NOTES)  # time in ns, text
         self.status: StatusReport | None = None
         """Newest status of the daemon."""
-        self.description = shipped("arm")
+        self.description = builtin("arm")
         """Description of the rig; until a daemon reports it, that of the arm."""
         self.signals: tuple[Signal, ...] = ARM_SIGNALS
         """Signals of the rig, in the order of the values in a row."""
@@ -250,7 +250,7 @@ class Feed:
                 pieces=(self._pieces, self._control.pieces),
             )
 
-    def timing(self) -> Timing:
+    def timing(self) -> FeedTiming:
         """Return the timing of the rig."""
         with self._lock:
             if self._late:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
-from armrig_core.process.imports import imported
+from armrig_core.process.imports import load_extra
 from armrig_core.rig.channels import symbol
 from armrig_core.rig.description import Description
 from armrig_core.telemetry import protobuf
@@ -50,7 +50,7 @@ def foxglove(
     Raises MissingPackageError if foxglove-sdk is not installed. Raises RigError if another program
     uses the port.
     """
-    sdk = imported("foxglove", "foxglove")
+    sdk = load_extra("foxglove", "foxglove")
     context = sdk.Context()  # a separate context, so that other logs of this process are not served
     channels = {
         name: sdk.Channel(

@@ -10,7 +10,7 @@ from armrig_core.commands.commands import StatusReport, samples_of
 from armrig_core.control.control_law import ControlLaw, load_law
 from armrig_core.errors import ArmrigError, FileError, InputError
 from armrig_core.process.printable import printable, with_degrees
-from armrig_core.recording_file.recording_directory import directory_to_look_in, installed
+from armrig_core.recording_file.recording_directory import configuration_files, directory_to_look_in
 from msgspec.structs import replace
 
 from armrig.excitation.reference import profile_of
@@ -26,7 +26,7 @@ def recordings_folder(status: StatusReport | None, rig: str) -> Path:
     """Return the daemon's folder of recordings; if it is unreadable, that of `armrig ls`."""
     if status and os.access(status.recordings, os.R_OK | os.X_OK):
         return Path(status.recordings)
-    return directory_to_look_in(installed(rig), os.environ)
+    return directory_to_look_in(configuration_files(rig), os.environ)
 
 
 def file_in(folder: Path, file: str, *endings: str) -> Path:

@@ -30,7 +30,7 @@ _File = Annotated[str, Meta(max_length=300)]
 _Seconds = Annotated[float, Meta(ge=0, le=1e7)]
 
 
-class Step(
+class TreatmentStep(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
 ):
     """Step of the treatment of data."""
@@ -71,16 +71,16 @@ class ModelData(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """Recording for validation; `SECOND_HALF`; or None for the proposed recording."""
     inputs: tuple[_Name, ...] = ()
     outputs: tuple[_Name, ...] = ()
-    treatments: Annotated[tuple[Step, ...], Meta(max_length=50)] = ()
+    treatments: Annotated[tuple[TreatmentStep, ...], Meta(max_length=50)] = ()
 
     @property
-    def part(self) -> Step:
+    def part(self) -> TreatmentStep:
         """Range that is loaded: the first step, if this step is a range."""
         first = self.treatments[:1]
-        return first[0] if first and first[0].kind == "part" else Step(kind="part")
+        return first[0] if first and first[0].kind == "part" else TreatmentStep(kind="part")
 
     @property
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> tuple[TreatmentStep, ...]:
         """Steps after the loading."""
         return tuple(s for k, s in enumerate(self.treatments) if k or s.kind != "part")
 
@@ -117,7 +117,7 @@ def command_options(folder: Path, data: ModelData, *, validate: bool) -> list[st
 
     The command is `armrig validate` or `armrig identify`.
     """
-    if data.steps not in ((), (Step(kind="means"),)):
+    if data.steps not in ((), (TreatmentStep(kind="means"),)):
         return None
     part = _ranges(folder, data)[validate]
     named = {"--input": data.inputs, "--signal": data.outputs}
@@ -129,7 +129,7 @@ def command_options(folder: Path, data: ModelData, *, validate: bool) -> list[st
     return words + ["--detrend"] * len(data.steps)
 
 
-def _ranges(folder: Path, data: ModelData) -> tuple[Step, Step]:
+def _ranges(folder: Path, data: ModelData) -> tuple[TreatmentStep, TreatmentStep]:
     """Return the ranges for estimation and validation; they are equal for two recordings."""
     part = data.part
     if data.validation != SECOND_HALF:
@@ -141,14 +141,14 @@ def _ranges(folder: Path, data: ModelData) -> tuple[Step, Step]:
     return replaced(part, stop=middle), replaced(part, start=middle)
 
 
-def _prepare(path: Path, data: ModelData, part: Step) -> PreparedData:
+def _prepare(path: Path, data: ModelData, part: TreatmentStep) -> PreparedData:
     """Return the treated data of a part of a recording."""
     key = msgspec.structs.replace(data, file="", validation=None, treatments=data.steps)
     return _treat(path, path.stat().st_mtime_ns, key, part)
 
 
 @lru_cache(maxsize=8)
-def _treat(path: Path, _: int, data: ModelData, part: Step) -> PreparedData:
+def _treat(path: Path, _: int, data: ModelData, part: TreatmentStep) -> PreparedData:
     read = _read_import(path, data, part) if import_of(path) else _read_recording(path, data, part)
     columns, lines = read.columns, [*read.python]
     with warnings.catch_warnings(record=True) as caught:
@@ -160,7 +160,7 @@ def _treat(path: Path, _: int, data: ModelData, part: Step) -> PreparedData:
     return replace(read, columns=columns, python=tuple(lines), warnings=texts)
 
 
-def _read_recording(path: Path, data: ModelData, part: Step) -> PreparedData:
+def _read_recording(path: Path, data: ModelData, part: TreatmentStep) -> PreparedData:
     recording = load(path, start=part.start, stop=part.stop)
     input, outputs = recording.description.input.name, data.outputs or (recording.first,)
     if data.inputs not in ((), (input,)):
@@ -179,7 +179,7 @@ def _read_recording(path: Path, data: ModelData, part: Step) -> PreparedData:
     )
 
 
-def _read_import(path: Path, data: ModelData, part: Step) -> PreparedData:
+def _read_import(path: Path, data: ModelData, part: TreatmentStep) -> PreparedData:
     facts: Any = import_of(path)
     inputs = data.inputs or facts.inputs or ("u",)
     outputs = data.outputs or facts.outputs or ("y",)
@@ -190,5 +190,5 @@ def _read_import(path: Path, data: ModelData, part: Step) -> PreparedData:
     else:
         columns = load_signals(path, inputs=inputs, outputs=outputs)
         call = f"load_signals({str(path)!r}, inputs={inputs!r}, outputs={outputs!r})"
-    columns, cut = part.treat(columns) if part != Step(kind="part") else (columns, [])
+    columns, cut = part.treat(columns) if part != TreatmentStep(kind="part") else (columns, [])
     return PreparedData(columns=columns, python=(f"data = armrig.{call}", *cut))

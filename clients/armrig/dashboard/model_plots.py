@@ -18,7 +18,7 @@ from armrig.models.characteristics import integrates
 from armrig.models.equation import gain_unit
 from armrig.models.figures import continuous_phase, in_discrete_time, response_and_bands
 from armrig.models.fit import Fit
-from armrig.models.uncertainty import drawn, pole_regions, step_band, zero_regions
+from armrig.models.uncertainty import parameter_draws, pole_regions, step_band, zero_regions
 from armrig.numerics.confidence_regions import Region
 from armrig.numerics.whiteness import BAND_99_PERCENT
 from armrig.plots.layout import decibels
@@ -135,7 +135,7 @@ def _poles(models: _ChannelFits, title: str) -> Iterator[_Curve]:
 
 @lru_cache(maxsize=_KEPT)
 def _roots(fit: Fit) -> list[_Curve]:
-    draws, curves = drawn(fit), []
+    draws, curves = parameter_draws(fit), []
     roots = {"cross": pole_regions(fit, draws), "ring": zero_regions(fit, draws)}
     for style, regions in roots.items():
         z = np.array([region.centre for region in regions], np.complex128)
@@ -199,7 +199,7 @@ def _step_curve(fit: Fit, *, rate: bool) -> _Curve:
     curve = _curve(np.append(0.0, response.t), np.append(0.0, response.y), "line")
     if not np.nan_to_num(response.std).any():
         return curve
-    band = step_band(fit, response, drawn(fit))
+    band = step_band(fit, response, parameter_draws(fit))
     return curve | _edges(np.append(0.0, band.low), np.append(0.0, band.high))
 
 

@@ -26,7 +26,7 @@ from armrig.dashboard.laws import file_in, recordings_folder
 from armrig.dashboard.study_of_one import csv, curves, facts, identified, report
 from armrig.recordings.files.catalogue import Catalogue, catalogue, facts_of
 from armrig.recordings.files.recording_names import Answering, answering_among, short_name
-from armrig.recordings.files.recording_summary import RecordingSummary, shown_path
+from armrig.recordings.files.recording_summary import RecordingSummary, path_text
 from armrig.report.batch.workers import begin_worker
 
 _MOST_LISTED = 200
@@ -34,7 +34,7 @@ _PIECE = 1 << 18  # B
 _Seconds = Annotated[float, Meta(ge=0, le=1e7)]
 
 
-class _Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class _RecordingQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Request that concerns a recording."""
 
     file: Annotated[str, Meta(max_length=300)]
@@ -85,52 +85,52 @@ class RecordingRoutes:
         answering = answering_among(found.recordings)
         return value(
             {
-                "folder": shown_path(found.folder),
+                "folder": path_text(found.folder),
                 "count": len(found),
                 "recordings": [
                     {
                         **facts_of(s),
-                        "file": shown_path(Path(s.file)),
+                        "file": path_text(Path(s.file)),
                         "at": _name_or_file(s, answering),
                     }
                     for s in found.recordings[:_MOST_LISTED]
                 ],
                 "left_out": [
-                    f"{'' if left.is_foreign else 'damaged: '}{shown_path(Path(left.path.name))}: "
+                    f"{'' if left.is_foreign else 'damaged: '}{path_text(Path(left.path.name))}: "
                     f"{left.why}"
                     for left in found.left_out
                 ],
             }
         )
 
-    async def _facts(self, path: Path, _: _Asked) -> Response:
+    async def _facts(self, path: Path, _: _RecordingQuery) -> Response:
         return value(await self._in_worker(facts, path))
 
-    async def _curves(self, path: Path, asked: _Asked) -> Response:
+    async def _curves(self, path: Path, asked: _RecordingQuery) -> Response:
         return value(await self._in_worker(curves, path, asked.start, asked.stop))
 
-    async def _csv(self, path: Path, asked: _Asked) -> Response:
+    async def _csv(self, path: Path, asked: _RecordingQuery) -> Response:
         text = await self._in_worker(csv, path, asked.start, asked.stop)
         return Response(text, media_type="text/csv")
 
-    async def _mcap(self, path: Path, _: _Asked) -> Response:
+    async def _mcap(self, path: Path, _: _RecordingQuery) -> Response:
         size, pieces = await asyncio.to_thread(whole_file, path)
         headers = {"content-length": str(size)}
         return StreamingResponse(pieces, media_type="application/octet-stream", headers=headers)
 
-    async def _identified(self, path: Path, asked: _Asked) -> Response:
+    async def _identified(self, path: Path, asked: _RecordingQuery) -> Response:
         validation = await asyncio.to_thread(self._validation_of, path)
         return value(await self._in_worker(identified, path, validation, asked.output))
 
-    async def _report(self, path: Path, asked: _Asked) -> Response:
+    async def _report(self, path: Path, asked: _RecordingQuery) -> Response:
         validation = await asyncio.to_thread(self._validation_of, path)
         pdf = await self._in_worker(report, path, validation, asked.output)
         return Response(pdf, media_type="application/pdf")
 
-    def _answered(self, does: Callable[[Path, _Asked], Any]) -> Answer:
+    def _answered(self, does: Callable[[Path, _RecordingQuery], Any]) -> Answer:
         async def answer(request: Request) -> Response:
             try:
-                asked = msgspec.json.decode(await request.body(), type=_Asked)
+                asked = msgspec.json.decode(await request.body(), type=_RecordingQuery)
                 response: Response = await does(self._path(asked.file), asked)
             except (msgspec.DecodeError, UnicodeDecodeError, OSError, ArmrigError) as err:
                 return error(400, str(err))
@@ -191,4 +191,4 @@ def whole_file(path: Path) -> tuple[int, Iterator[bytes]]:
 def _name_or_file(summary: RecordingSummary, answering: Answering) -> str:
     """Return the @name that the commands accept for a recording; without one, its file name."""
     name = short_name(summary, answering)
-    return name if name.startswith("@") else shown_path(Path(summary.file))
+    return name if name.startswith("@") else path_text(Path(summary.file))

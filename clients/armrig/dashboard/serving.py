@@ -26,7 +26,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from armrig.dashboard.app import RigRoutes, application, value
-from armrig.dashboard.driver import Driver
+from armrig.dashboard.driver import CommandSender
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.guard import Connections, Guard, Pass
 from armrig.dashboard.model_routes import ModelRoutes
@@ -37,7 +37,7 @@ from armrig.dashboard.stream import Stream
 from armrig.rig.client import Rig
 from armrig.rig.remote_source import RemoteSource
 from armrig.rig.session import NoReplyError, RigError, default_endpoint, open_session
-from armrig.rig.telemetry_stream import decoded
+from armrig.rig.telemetry_stream import decode
 
 HOST = "127.0.0.1"
 PORT = 8807
@@ -69,7 +69,7 @@ _MAX_PIECES = 100
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
+class DashboardSettings:
     """Rig and addresses of a dashboard."""
 
     rig: str = "1"
@@ -105,7 +105,7 @@ class Served:
 
 
 @contextmanager
-def dashboard(settings: Settings) -> Iterator[Served]:
+def dashboard(settings: DashboardSettings) -> Iterator[Served]:
     """Serve a dashboard until the block ends; the end of the block stops a run of the dashboard.
 
     Raises RigError if another program uses the port. Raises MissingPackageError if the package for
@@ -114,9 +114,9 @@ def dashboard(settings: Settings) -> Iterator[Served]:
     raise_limit()  # above the limit of connections, so that a stop can be sent
     sys.setswitchinterval(_SWITCH_S)
     feed = Feed(read_description(path_of(settings.rig_file)) if settings.rig_file else None)
-    driver = Driver(rig=settings.rig, connect=settings.connect)
+    driver = CommandSender(rig=settings.rig, connect=settings.connect)
     recorded, models = RecordingRoutes(feed, settings.rig), ModelRoutes(feed, settings.rig)
-    listener = Listener(
+    listener = FeedListener(
         feed,
         rig=settings.rig,
         connect=settings.connect,
@@ -284,7 +284,7 @@ class ServerThread:
         self._stream.viewers.end()
 
 
-class Listener:
+class FeedListener:
     """Thread that receives the rig's messages and adds them to a feed."""
 
     def __init__(
@@ -389,9 +389,7 @@ class Listener:
                 if piece is None or self._ends.is_set():
                     return
                 for name, take in takers:
-                    take(
-                        [decoded(name, data) for kind, data in piece.past.messages if kind == name]
-                    )
+                    take([decode(name, data) for kind, data in piece.past.messages if kind == name])
                 if not piece.is_full:
                     return
 

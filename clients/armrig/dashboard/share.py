@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from armrig_core.process.imports import imported
+from armrig_core.process.imports import load_extra
 
 from armrig.rig.session import RigError
 
@@ -50,7 +50,7 @@ def certificate(address: str) -> Iterator[Certificate]:
 
     Raises MissingPackageError if the package that makes certificates is not installed.
     """
-    imported("cryptography", "share")
+    load_extra("cryptography", "share")
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec
@@ -78,5 +78,5 @@ def qr_code(text: str) -> str:
     Raises MissingPackageError if the package that draws QR codes is not installed.
     """
     drawn = StringIO()
-    imported("segno", "share").make(text, error="l").terminal(out=drawn, compact=True)
+    load_extra("segno", "share").make(text, error="l").terminal(out=drawn, compact=True)
     return drawn.getvalue()

@@ -21,7 +21,7 @@ from armrig_core.rig.volts import U_MAX_V
 from armrig_core.telemetry.telemetry import Sample
 
 from armrig.dashboard.bins import Rows, Signal, as_lists, columns_of, signals
-from armrig.dashboard.driver import Driver
+from armrig.dashboard.driver import CommandSender
 from armrig.dashboard.experiments import suggest_experiments
 from armrig.dashboard.feed import LATE_US, Feed, News
 from armrig.dashboard.page_json import page_json
@@ -129,7 +129,7 @@ class Stream:
     def __init__(
         self,
         feed: Feed,
-        driver: Driver,
+        driver: CommandSender,
         *,
         may_command: bool,
         command: str = "armrig dashboard",
@@ -139,7 +139,7 @@ class Stream:
         self.may_command = may_command
         """True if the viewers of this socket may command."""
         past = {"past": feed.history, "past_reference": feed.reference}
-        self._history = History(lambda: {name: rows() for name, rows in past.items()})
+        self._history = HistoryEncoder(lambda: {name: rows() for name, rows in past.items()})
         self.viewers = Viewers()
         self._told: dict[str, bytes] = {}
         self._turn = asyncio.Lock()
@@ -218,7 +218,7 @@ class Stream:
                 self.viewers.send(message)
 
 
-class History:
+class HistoryEncoder:
     """Encoder of the history; viewers that connect before an encoding begins share the result."""
 
     def __init__(self, rows: Callable[[], Mapping[str, Rows]]) -> None:

@@ -20,7 +20,7 @@ from armrig.estimation.request import Request
 from armrig.estimation.transfer_functions import process
 from armrig.models.fit import Fit
 from armrig.recordings.files.loading import load
-from armrig.recordings.files.recording_summary import shown_path
+from armrig.recordings.files.recording_summary import path_text
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import data_verdict
 from armrig.report.recording_facts import run_facts
@@ -41,7 +41,7 @@ def facts(path: Path) -> dict[str, Any]:
     recording = _loaded(path)
     verdict = data_verdict(recording)
     return {
-        "file": shown_path(Path(path.name)),
+        "file": path_text(Path(path.name)),
         "about": [
             *((name, text) for name, text in run_facts(recording).items() if text),
             ("SHA-256", recording.short_hash),

@@ -27,7 +27,7 @@ from armrig.dashboard.model_data import (
     SECOND_HALF,
     ModelData,
     PreparedData,
-    Step,
+    TreatmentStep,
     command_options,
     estimation_data,
     validation_data,
@@ -41,7 +41,7 @@ from armrig.models.fit import Fit
 from armrig.models.model_file import load_fit
 from armrig.models.model_writing import model_text
 from armrig.models.structure_table import OFFERED, OfferedName, users
-from armrig.numerics.quantities import listed
+from armrig.numerics.quantities import join_names
 from armrig.recordings.files.imports import import_of, rig_name
 from armrig.recordings.files.loading import load
 from armrig.recordings.usability import data_verdict
@@ -217,7 +217,7 @@ def complete_request(request: Request, data: PreparedData) -> Request:
         request = changed(request, shared=True)
     known = tuple(x for x in columns.outputs if not data.arm or x in INTEGRATING_OUTPUTS)
     if request.integrator is True and not known:
-        raise InputError(f"the rig has no pole at 1 for {listed(columns.outputs)}")
+        raise InputError(f"the rig has no pole at 1 for {join_names(columns.outputs)}")
     return changed(request, integrator=known) if request.integrator is True else request
 
 
@@ -332,7 +332,7 @@ def _fit(folder: Path, data: ModelData, key: bytes, _: int) -> Fit:
     estimation = estimation_data(folder, data)
     request = complete_request(wanted, estimation)
     request.check(estimation.columns)
-    named = listed([*request.orders] or ["the number of time constants"])
+    named = join_names([*request.orders] or ["the number of time constants"])
     with _quiet():
         try:
             fit = request.estimated(estimation.columns)
@@ -376,7 +376,7 @@ def data_of_model(folder: Path, file: str) -> ModelData:
         file=name_of_hash(folder, digest),
         inputs=() if fit.inputs == ("u",) else fit.inputs,
         outputs=fit.outputs,
-        treatments=(Step(kind="means"),) if MEAN in codes_of(fit.history) else (),
+        treatments=(TreatmentStep(kind="means"),) if MEAN in codes_of(fit.history) else (),
     )
 
 

@@ -102,9 +102,9 @@ def treats_signals(f: Callable[Concatenate[Signals, P], Signals]) -> Treatment[P
 
     @wraps(f)
     def treating(*args: Any, **options: Any) -> Any:
-        found = treated(*args, **options)
-        given = args[0] if args else options["data"]
-        return found if isinstance(given, Signals) else found.dataset()
+        signals = treated(*args, **options)
+        argument = args[0] if args else options["data"]
+        return signals if isinstance(argument, Signals) else signals.dataset()
 
     return cast("Treatment[P]", treating)
 
@@ -184,20 +184,20 @@ def _check_order(name: str, first: str, parameters: list[Parameter], args: tuple
     """Refuse a call in which another argument, such as a model, precedes the data."""
     if _is_data(args[0]) or not any(_is_data(a) for a in args[1:]):
         return
-    rest = ", ".join(
+    second = ", ".join(
         "fit" if p.kind is Parameter.VAR_POSITIONAL else p.name for p in parameters[1:2]
     )
     kind = type(args[0]).__name__
-    raise InputTypeError(f"{first} must come first, got a {kind}: {name}({first}, {rest})")
+    raise InputTypeError(f"{first} must come first, got a {kind}: {name}({first}, {second})")
 
 
 def _is_data(value: object) -> bool:
     return isinstance(value, Dataset) or callable(getattr(value, "dataset", None))
 
 
-def _by_name(name: str, first: str, orders: list[Parameter], given: tuple[Any, ...]) -> str:
+def _by_name(name: str, first: str, orders: list[Parameter], args: tuple[Any, ...]) -> str:
     """Return the message for arguments given by position; the message contains the correct call."""
-    listed = given[0] if len(given) == 1 and isinstance(given[0], list | tuple) else given
+    listed = args[0] if len(args) == 1 and isinstance(args[0], list | tuple) else args
     needed = [p.name for p in orders if p.default is Parameter.empty]
     names = needed + [p.name for p in orders if p.name == "nk" and p.name not in needed]
     names = names or [p.name for p in orders]

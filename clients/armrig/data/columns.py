@@ -32,12 +32,12 @@ def columns(name: str, values: Any) -> Matrix:
     """Return a column-major copy (N, n) of the values, with NaN for masked values."""
     if getattr(values, "ndim", 1) == 2 and is_pandas(values):
         values = np.column_stack([plain(name, values.iloc[:, j]) for j in range(values.shape[1])])
-    given = np.asanyarray(plain(name, values))
-    if given.dtype.kind not in "buif":
+    array = np.asanyarray(plain(name, values))
+    if array.dtype.kind not in "buif":
         raise InputError(
-            f"{name} is an array of {given.dtype}; give real numbers, a column for each channel"
+            f"{name} is an array of {array.dtype}; give real numbers, a column for each channel"
         )
-    taken = real_copy(given)
+    taken = real_copy(array)
     if taken.ndim == 1:
         taken = taken[:, None]
     if taken.ndim != 2 or 0 in taken.shape:
@@ -55,10 +55,10 @@ def columns(name: str, values: Any) -> Matrix:
 
 def constancy(name: str, values: Vector) -> str:
     """Return a text with the way out if all known values of a signal are equal, "" otherwise."""
-    known = values[np.isfinite(values)]
-    if not known.size or not is_constant(known):
+    finite = values[np.isfinite(values)]
+    if not finite.size or not is_constant(finite):
         return ""
-    return f"{name} is always {known[0]:.4g}: give the column that varies, or record again"
+    return f"{name} is always {finite[0]:.4g}: give the column that varies, or record again"
 
 
 def plain(name: str, values: Any) -> Any:
@@ -93,27 +93,27 @@ def validity(valid: Any, shape: tuple[int, ...]) -> Mask:
         return np.ones(shape, dtype=np.bool_)
     if is_pandas(valid):
         valid = valid.to_numpy(dtype=np.bool_, na_value=False)
-    given = np.array(np.ma.filled(valid, False), dtype=np.bool_)
-    if given.ndim == 1 < len(shape):
-        given = given[:, None]
-    if given.shape != shape:
-        raise InputError(f"valid has shape {given.shape}, y has {shape}; give one bool per value")
-    return given
+    mask = np.array(np.ma.filled(valid, False), dtype=np.bool_)
+    if mask.ndim == 1 < len(shape):
+        mask = mask[:, None]
+    if mask.shape != shape:
+        raise InputError(f"valid has shape {mask.shape}, y has {shape}; give one bool per value")
+    return mask
 
 
 def reference_of(r: ArrayLike, N: int) -> Vector:
     """Return a copy of a reference (N,); refuse another size, and values that are not finite."""
-    known = column("r", r)
-    if known.size != N:
+    reference = column("r", r)
+    if reference.size != N:
         raise InputError(
-            f"r has {plural(known.size, 'sample')} and the data have {N}; give each sample"
+            f"r has {plural(reference.size, 'sample')} and the data have {N}; give each sample"
         )
-    if (at := np.flatnonzero(~np.isfinite(known))).size:
-        raise InputError(f"r[{at[0]}] is {known[at[0]]}: r must be known at each sample")
-    return known
+    if (at := np.flatnonzero(~np.isfinite(reference))).size:
+        raise InputError(f"r[{at[0]}] is {reference[at[0]]}: r must be known at each sample")
+    return reference
 
 
-def names_of(what: str, names: Names | None, values: Any, letter: str, n: int) -> tuple[str, ...]:
+def names_of(option: str, names: Names | None, values: Any, letter: str, n: int) -> tuple[str, ...]:
     """Return n names; the default is the names of a DataFrame's columns, or `letter` and a number.
 
     The empty name is only for a single channel.
@@ -122,37 +122,39 @@ def names_of(what: str, names: Names | None, values: Any, letter: str, n: int) -
         names = [str(name) for name in values.columns]
     if names is None:
         return (letter,) if n == 1 else tuple(f"{letter}{k + 1}" for k in range(n))
-    given = as_tuple(names)
-    if len(given) != n or not all(isinstance(name, str) and (name or n == 1) for name in given):
+    chosen = as_tuple(names)
+    if len(chosen) != n or not all(isinstance(name, str) and (name or n == 1) for name in chosen):
         raise InputError(
-            f"{what}={list(given)!r}: {plural(n, 'name is', 'names are')} needed, one for each "
+            f"{option}={list(chosen)!r}: {plural(n, 'name is', 'names are')} needed, one for each "
             f"column of {letter}"
         )
-    if repeated := sorted({name for name in given if given.count(name) > 1}):
-        raise InputError(f"{what}: {', '.join(repeated)} repeats; each channel needs its own name")
-    return given
-
-
-def units_of(what: str, units: Names | None, n: int) -> tuple[str, ...]:
-    """Return n units; the default is "", no unit."""
-    given = ("",) * n if units is None else as_tuple(units)
-    if len(given) != n:
+    if repeated := sorted({name for name in chosen if chosen.count(name) > 1}):
         raise InputError(
-            f'{what}={list(given)!r}: {n} units are needed, one for each channel; "" is none'
+            f"{option}: {', '.join(repeated)} repeats; each channel needs its own name"
         )
-    return given
+    return chosen
+
+
+def units_of(option: str, units: Names | None, n: int) -> tuple[str, ...]:
+    """Return n units; the default is "", no unit."""
+    chosen = ("",) * n if units is None else as_tuple(units)
+    if len(chosen) != n:
+        raise InputError(
+            f'{option}={list(chosen)!r}: {n} units are needed, one for each channel; "" is none'
+        )
+    return chosen
 
 
 def courses_of(intersample: Names, n: int) -> tuple[Intersample, ...]:
     """Return the course of each of n inputs between samples; one course is for all inputs."""
-    given = (intersample,) * n if isinstance(intersample, str) else tuple(intersample)
+    courses = (intersample,) * n if isinstance(intersample, str) else tuple(intersample)
     allowed = get_args(Intersample)
-    if len(given) != n or not set(given) <= set(allowed):
+    if len(courses) != n or not set(courses) <= set(allowed):
         raise InputError(
             f'intersample={intersample!r} must be "zoh" or "foh", or one of these for each of the '
             f"{plural(n, 'input')}"
         )
-    return tuple(allowed[allowed.index(course)] for course in given)
+    return tuple(allowed[allowed.index(course)] for course in courses)
 
 
 def as_tuple(names: Names) -> tuple[str, ...]:
@@ -160,20 +162,20 @@ def as_tuple(names: Names) -> tuple[str, ...]:
     return (names,) if isinstance(names, str) else tuple(names)
 
 
-def listed(names: Sequence[str], units: Sequence[str] = ()) -> str:
+def channel_list(names: Sequence[str], units: Sequence[str] = ()) -> str:
     """Return names with their units as text; a long list is cut off."""
     pairs = zip(names, units or [""] * len(names), strict=True)
     texts = [f"{name} [{unit}]" if unit else name for name, unit in pairs]
     return ", ".join(texts[:_MAX_SHOWN]) + (", …" if len(texts) > _MAX_SHOWN else "")
 
 
-def index_of(what: str, name: str | None, names: tuple[str, ...]) -> int:
+def index_of(kind: str, name: str | None, names: tuple[str, ...]) -> int:
     """Return the index of a channel; the name may be left out if there is one channel."""
     if name is None and len(names) == 1:
         return 0
     if name not in names:
-        said = f"{what}={name!r}: there is no such {what}" if name else f"which {what}?"
-        raise InputError(f"{said}; there are {listed(names)}")
+        problem = f"{kind}={name!r}: there is no such {kind}" if name else f"which {kind}?"
+        raise InputError(f"{problem}; there are {channel_list(names)}")
     return names.index(name)
 
 

@@ -8,7 +8,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 from armrig_core.errors import InputError
-from armrig_core.process.calls import checked_call
+from armrig_core.process.calls import with_argument_checks
 from numpy.typing import ArrayLike
 
 from armrig.data.columns import (
@@ -16,11 +16,11 @@ from armrig.data.columns import (
     Matrix,
     Names,
     as_tuple,
+    channel_list,
     columns,
     courses_of,
     index_of,
     interval,
-    listed,
     names_of,
     plain,
     reference_of,
@@ -32,7 +32,7 @@ from armrig.data.columns import (
     validity,
 )
 from armrig.data.columns import Vector as Vector
-from armrig.data.experiments import Experiments, Trend, unchecked
+from armrig.data.experiments import Experiments, Trend, replace_unchecked
 from armrig.numerics.checks import column
 from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask
@@ -119,7 +119,7 @@ class Signals(Experiments):
     r: Vector | None
     """Reference (N,) in the unit of the law that controlled the rig; None without a reference."""
 
-    @checked_call
+    @with_argument_checks
     def __init__(
         self,
         *,
@@ -284,12 +284,13 @@ class Signals(Experiments):
         """
         if (output is None and self.ny > 1) or (input is None and self.nu > 1):
             raise InputError(
-                f"{plural(self.ny, 'output')} ({listed(self.outputs)}) and "
+                f"{plural(self.ny, 'output')} ({channel_list(self.outputs)}) and "
                 f"{plural(self.nu, 'input')} "
-                f"({listed(self.inputs)}): choose one of each with signals.dataset(output, input)"
+                f"({channel_list(self.inputs)}): choose one of each with "
+                "signals.dataset(output, input)"
             )
         i, j = self.output(output), self.input(input)
-        pair = unchecked(
+        pair = replace_unchecked(
             self,
             u=self.u[:, j : j + 1],
             y=self.y[:, i : i + 1],
@@ -338,13 +339,16 @@ class Signals(Experiments):
 
     def __repr__(self) -> str:
         """Describe the data in one line."""
-        outputs, inputs = listed(self.outputs, self.units), listed(self.inputs, self.input_units)
-        return self._described(f"outputs {outputs}; inputs {inputs}", "values missing")
+        outputs, inputs = (
+            channel_list(self.outputs, self.units),
+            channel_list(self.inputs, self.input_units),
+        )
+        return self._description(f"outputs {outputs}; inputs {inputs}", "values missing")
 
 
-def _column(of: Callable[[Signals], T], doc: str) -> T:
+def _column(compute: Callable[[Signals], T], doc: str) -> T:
     """Return a property of a Dataset that is computed from its Signals."""
-    return cast("T", property(lambda data: of(data.signals()), doc=doc))
+    return cast("T", property(lambda data: compute(data.signals()), doc=doc))
 
 
 class Dataset(Experiments):
@@ -389,7 +393,7 @@ class Dataset(Experiments):
     __slots__ = ("_columns",)
     _columns: Signals
 
-    @checked_call
+    @with_argument_checks
     def __init__(
         self,
         *,
@@ -486,7 +490,7 @@ class Dataset(Experiments):
     def __repr__(self) -> str:
         """Describe the data in one line."""
         unit = f" [{self.unit}]" if self.unit else ""
-        return self._described(f"output {self.output}{unit}", "missing")
+        return self._description(f"output {self.output}{unit}", "missing")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -505,9 +509,9 @@ class OfDataset:
     """Hash of the recording, or ""."""
 
 
-def labels(of: Any) -> dict[str, Any]:
+def labels(source: Any) -> dict[str, Any]:
     """Return the fields of `OfDataset`, of data or of a result."""
-    return {field.name: getattr(of, field.name) for field in fields(OfDataset)}
+    return {field.name: getattr(source, field.name) for field in fields(OfDataset)}
 
 
 def view(signals: Signals) -> Dataset:

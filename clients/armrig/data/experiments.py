@@ -64,8 +64,8 @@ class Trend:
 
     def each(self, of_u: Callable[[Any], Any], of_y: Callable[[Any], Any]) -> Trend:
         """Return the results of `of_u` for the fields of u, and of `of_y` for the fields of y."""
-        of = {"u": of_u, "y": of_y}
-        return Trend(**{f.name: of[f.name[0]](getattr(self, f.name)) for f in _FIELDS})
+        functions = {"u": of_u, "y": of_y}
+        return Trend(**{f.name: functions[f.name[0]](getattr(self, f.name)) for f in _FIELDS})
 
     def __add__(self, other: Trend) -> Trend:
         """Return the sum of two trends that were removed one after the other."""
@@ -159,7 +159,7 @@ class Experiments:
         starts = tuple(first - a for first in firsts)
         step = took(f"took samples {a} to {b - 1} of {self.N}", data.Ts * a, data.Ts * b)
         return self._like(
-            unchecked(
+            replace_unchecked(
                 data,
                 u=data.u[a:b],
                 y=data.y[a:b],
@@ -295,7 +295,7 @@ class Experiments:
 
     _repr_html_ = html
 
-    def _described(self, channels: str, missing: str) -> str:
+    def _description(self, channels: str, missing: str) -> str:
         """Return one line with the names of the channels, and with the word for missing values."""
         data = self.signals()
         parts = [f"{plural(self.N, 'sample')} at {data.Ts:g} s", channels]
@@ -309,7 +309,7 @@ class Experiments:
         return f"<{type(self).__name__}: {'; '.join(parts)}>"
 
 
-def unchecked(value: T, **fields: Any) -> T:
+def replace_unchecked(value: T, **fields: Any) -> T:
     """Return a copy with the given fields replaced; the fields are valid and not checked again."""
     copy = object.__new__(type(value))
     for name in value.__slots__:

@@ -9,7 +9,7 @@ import numpy as np
 from armrig_core.telemetry.channels import ARM_OUTPUTS
 
 from armrig.numerics.quantities import NBSP, digits, minus
-from armrig.plots.captions import labelled, legend, named, sign
+from armrig.plots.captions import axis_label, legend, sign, symbol_of
 from armrig.plots.layout import (
     BLUE,
     INK,
@@ -50,7 +50,7 @@ def without_ramp(
     signals = data.signals()
     i = signals.output(output)
     name, unit, t = signals.outputs[i], signals.units[i], signals.t
-    none = np.zeros(t.size), named(name, unit), ()
+    none = np.zeros(t.size), axis_label(name, unit), ()
     seen = signals.valid[:, i]
     changes = np.count_nonzero(np.any(np.diff(signals.u, axis=0), axis=1))
     if np.count_nonzero(seen) < 3 or changes < _MIN_INPUT_CHANGES:
@@ -60,10 +60,10 @@ def without_ramp(
     left = np.var(y - level - slope * t[seen])
     if not left < (1 - MIN_RAMP_SHARE) * np.var(y):
         return none
-    shown, rise = labelled(name), minus(digits(abs(slope), 3))
-    label = f"{shown} {'−' if slope > 0 else '+'} {rise} $t$\n[{unit or '–'}]"
+    symbol, rise = symbol_of(name), minus(digits(abs(slope), 3))
+    label = f"{symbol} {'−' if slope > 0 else '+'} {rise} $t$\n[{unit or '–'}]"
     rate = f"{minus(digits(slope, 3))}{NBSP}{f'{unit}/s' if unit else 'per s'}"
-    return slope * t, label, (f"{shown} minus its mean rate, {rate}",)
+    return slope * t, label, (f"{symbol} minus its mean rate, {rate}",)
 
 
 def plot_data(source: Dataset | Signals | HasDataset, *, ax: Axes | None = None) -> Axes:
@@ -87,11 +87,11 @@ def plot_data(source: Dataset | Signals | HasDataset, *, ax: Axes | None = None)
             panel.step(t, data.u[:, j], where="post", color=INK, lw=0.7)
         else:
             panel.plot(t, data.u[:, j], color=INK, lw=0.7)
-        panel.set_ylabel(named(_input(data, j), data.input_units[j]))
+        panel.set_ylabel(axis_label(_input(data, j), data.input_units[j]))
         panel.margins(y=0.15)
     for k, panel in enumerate(every):
-        of = slice(k, k + 1) if k < data.ny else slice(None)
-        valid = np.logical_or.reduce(data.valid[:, of], axis=1)
+        columns = slice(k, k + 1) if k < data.ny else slice(None)
+        valid = np.logical_or.reduce(data.valid[:, columns], axis=1)
         shade(panel, valid, data.Ts, dead_band=not ARM_OUTPUTS.isdisjoint(data.outputs))
         for start in data.starts[1:]:
             panel.axvline(t[start], color=INK, lw=0.6, ls=(0, (4, 2)))
@@ -107,7 +107,7 @@ def plot_columns(data: ImportedData, *, ax: Axes | None = None) -> Axes:
     every = rows(ax or high_axes(len(columns)), len(columns))
     for panel, column, x in zip(every, columns, values, strict=True):
         panel.plot(time, x, color=BLUE, lw=0.9)
-        panel.set_ylabel(named(column.name, column.unit))
+        panel.set_ylabel(axis_label(column.name, column.unit))
         for start in data.facts.breaks:
             panel.axvline(time[start], color=INK, lw=0.6, ls=(0, (4, 2)))
     every[-1].set_xlabel("$t$ [s]")
@@ -131,7 +131,7 @@ def plot_spectrum(source: Dataset | Signals | HasDataset, *, ax: Axes | None = N
     data = _signals_of(source)
     Ts, edges, n = data.Ts, [*pairwise((*data.starts, data.N))], data.ny + data.nu
     every = rows(ax or (high_axes(n + 2) if n > 2 else axes(None)), n)
-    names = [*map(labelled, data.outputs), *(_input(data, j) for j in range(data.nu))]
+    names = [*map(symbol_of, data.outputs), *(_input(data, j) for j in range(data.nu))]
     units = (*data.units, *data.input_units)
     columns, colours = np.hstack([data.y, data.u]).T, [BLUE] * data.ny + [INK] * data.nu
     for panel, colour, name, unit, x in zip(every, colours, names, units, columns, strict=True):
@@ -142,7 +142,7 @@ def plot_spectrum(source: Dataset | Signals | HasDataset, *, ax: Axes | None = N
         panel.plot(omega, np.maximum(density, 1e-300), color=colour, lw=0.9)
         panel.set_xscale("log")
         panel.set_yscale("log")
-        panel.set_ylabel(f"{name} [{_squared(unit)}s/rad]")
+        panel.set_ylabel(f"{name} [{_square_unit(unit)}s/rad]")
         bare_minor(panel.xaxis, panel.yaxis)
         seen = density[density > 0]
         if seen.size:
@@ -173,7 +173,7 @@ def plot_values(source: Dataset | Signals | HasDataset, *, ax: Axes | None = Non
             values, colour = (data.y[:, k] - ramp)[data.valid[:, k]], BLUE
         else:
             j = k - data.ny
-            label = named(_input(data, j), data.input_units[j])
+            label = axis_label(_input(data, j), data.input_units[j])
             values, colour = data.u[:, j], INK
         panel.hist(values, bins=60, color=colour, alpha=0.75)
         panel.set_yscale("log")
@@ -194,6 +194,6 @@ def _input(data: Signals, j: int) -> str:
     return "$u$" if data.inputs[j] == "u" else data.inputs[j]
 
 
-def _squared(unit: str) -> str:
+def _square_unit(unit: str) -> str:
     """Return the squared unit and a space, for the label of an axis; "" without a unit."""
     return f"({unit})² " if "/" in unit else f"{unit}² " if unit else ""

@@ -7,7 +7,7 @@ from typing import Any, overload
 
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
-from armrig_core.process.calls import checked_call
+from armrig_core.process.calls import with_argument_checks
 
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.experiments import Trend
@@ -23,7 +23,7 @@ _SAME = ("Ts", "outputs", "inputs", "units", "input_units", "intersample", "inpu
 def merge(parts: Sequence[Dataset]) -> Dataset: ...
 @overload
 def merge(parts: Sequence[Signals]) -> Signals: ...
-@checked_call
+@with_argument_checks
 def merge(parts: Sequence[Any]) -> Dataset | Signals:
     """Return several experiments as one Dataset or Signals object that keeps them separate.
 
@@ -50,8 +50,8 @@ def merge(parts: Sequence[Any]) -> Dataset | Signals:
     >>> data.N, data.starts
     (2000, (0, 1000))
     """
-    given: Any = parts
-    kinds = {type(part) for part in (given if isinstance(given, Sequence) else (None,))}
+    sequence: Any = parts
+    kinds = {type(part) for part in (sequence if isinstance(sequence, Sequence) else (None,))}
     if len(kinds) > 1 or kinds - {Dataset, Signals}:
         raise InputTypeError(
             "merge takes one list of Datasets, merge([d1, d2]), or one list of Signals; for a "
@@ -78,13 +78,13 @@ def merge(parts: Sequence[Any]) -> Dataset | Signals:
         r=np.concatenate(references) if len(references) == len(each) else None,
         starts=[int(o) + s for o, data in zip(offsets, each, strict=True) for s in data.starts],
         source="+".join(dict.fromkeys(data.source for data in each if data.source)),
-        history=_joined_history(each),
+        history=_merge_history(each),
         trends=trends if any(data.trends for data in each) else [],
     )
     return merged if kinds == {Signals} else merged.dataset()
 
 
-def _joined_history(parts: Sequence[Signals]) -> tuple[str, ...]:
+def _merge_history(parts: Sequence[Signals]) -> tuple[str, ...]:
     """Return the history of merged data: common steps, then steps of each part, then the merge."""
     if len(parts) == 1:
         return parts[0].history
@@ -93,7 +93,7 @@ def _joined_history(parts: Sequence[Signals]) -> tuple[str, ...]:
         if len(set(steps)) > 1:
             break
         common.append(steps[0])
-    own = [
+    part_steps = [
         Step(f"part {i}: {step}", in_merged(code))
         for i, data in enumerate(parts, 1)
         for step, code in list(zip(data.history, codes_of(data.history), strict=True))[
@@ -102,4 +102,4 @@ def _joined_history(parts: Sequence[Signals]) -> tuple[str, ...]:
     ]
     lengths = ", ".join(str(data.N) for data in parts[:_MAX_LISTED_LENGTHS])
     lengths += ", …" if len(parts) > _MAX_LISTED_LENGTHS else ""
-    return (*common, *own, f"merged {plural(len(parts), 'part')} of {lengths} samples")
+    return (*common, *part_steps, f"merged {plural(len(parts), 'part')} of {lengths} samples")

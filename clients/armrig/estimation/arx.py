@@ -12,14 +12,19 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding
-from armrig.estimation.data_faults import NO_OPTION, data_faults, require_informative, undetermined
+from armrig.estimation.data_faults import (
+    NO_OPTION,
+    cause_of_indeterminacy,
+    data_faults,
+    require_informative,
+)
 from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
 from armrig.estimation.fit_warnings import with_doubts
 from armrig.estimation.orders import Integers, as_text, by_channel, by_pair, require_samples
 from armrig.estimation.stability import (
     instability,
     reflection_warnings,
-    stabilised,
+    stabilise,
     with_stability_warning,
 )
 from armrig.models.fit import Fit
@@ -114,25 +119,25 @@ def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool 
     outputs = data.signals().outputs
     equations = [_equation(data, i, na_[i], nb_[i], nk_[i]) for i in range(len(outputs))]
     for i, equation in enumerate(equations):
-        what = orders if len(outputs) == 1 else f"{orders} for {outputs[i]}"
+        equation_orders = orders if len(outputs) == 1 else f"{orders} for {outputs[i]}"
         skipped = max(na_[i].max(), (nb_[i] + nk_[i])[nb_[i] > 0].max(initial=1) - 1)
-        require_samples(what, needed=equation.size + int(skipped) + 1, got=data.N)
-        what += " with the gaps left out"
-        require_samples(what, needed=equation.size + 1, got=equation.rows)
-    found = _solved(equations)
+        require_samples(equation_orders, needed=equation.size + int(skipped) + 1, got=data.N)
+        equation_orders += " with the gaps left out"
+        require_samples(equation_orders, needed=equation.size + 1, got=equation.rows)
+    solution = _solve(equations)
     d = sum(equation.size for equation in equations)
-    if found.basis.rank < d:
+    if solution.basis.rank < d:
         raise InputError(
-            f"{orders}: the data determine only {found.basis.rank} of {d} parameters; "
-            f"{undetermined(data)}"
+            f"{orders}: the data determine only {solution.basis.rank} of {d} parameters; "
+            f"{cause_of_indeterminacy(data)}"
         )
     notes: list[Finding] = []
     if stable:
-        found, notes = _with_stable_poles(equations, found, na_.diagonal().tolist())
-    estimates = [*_outputs(data, equations, found, na_, nb_, nk_)]
+        solution, notes = _with_stable_poles(equations, solution, na_.diagonal().tolist())
+    estimates = [*_outputs(data, equations, solution, na_, nb_, nk_)]
     name = "" if isinstance(data, Dataset) else orders
     fit = fit_of_outputs(
-        data, estimates, found.basis.W, structure="arx", score="correlated", specification=name
+        data, estimates, solution.basis.W, structure="arx", score="correlated", specification=name
     )
     fit = with_doubts(fit)
     if isinstance(data, Signals):
@@ -170,7 +175,7 @@ class _Equation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Solution:
+class _RegressionSolution:
     """Least-squares solution for all outputs."""
 
     theta: tuple[Array, ...]
@@ -192,53 +197,59 @@ def _equation(
         lags = zip(nb.tolist(), nk.tolist(), strict=True)
         columns += [past(u[:, j], range(k, k + n)) for j, (n, k) in enumerate(lags)]
         X = np.hstack(columns)
-        known = complete(X, y[:, i])
-        X[~known] = 0.0
+        complete_rows = complete(X, y[:, i])
+        X[~complete_rows] = 0.0
         Phi.append(X)
-        outputs.append(np.where(known, y[:, i], 0.0))
-        usable.append(known)
+        outputs.append(np.where(complete_rows, y[:, i], 0.0))
+        usable.append(complete_rows)
     return _Equation(Phi=tuple(Phi), y=tuple(outputs), usable=tuple(usable))
 
 
-def _solved(equations: Sequence[_Equation]) -> _Solution:
+def _solve(equations: Sequence[_Equation]) -> _RegressionSolution:
     """Return the parameters; the covariance of several outputs is estimated with them."""
     if len(equations) == 1:
         (equation,) = equations
         usable = np.concatenate(equation.usable)
         basis = orthonormal(np.vstack(equation.Phi)[usable])
         alone = basis.coefficients(np.concatenate(equation.y)[usable])
-        return _Solution(theta=(alone,), basis=basis.spread(usable), weights=())
+        return _RegressionSolution(theta=(alone,), basis=basis.spread(usable), weights=())
     ends = np.cumsum([equation.size for equation in equations])[:-1]
     blocks = [*zip(*(equation.Phi for equation in equations), strict=True)]
-    y = [[v[:, None] for v in of] for of in zip(*(e.y for e in equations), strict=True)]
-    masks = [np.column_stack(of) for of in zip(*(e.usable for e in equations), strict=True)]
-    known = [np.concatenate(e.y)[np.concatenate(e.usable)] for e in equations]
-    Lambda = np.diag([float(np.var(v)) or 1.0 for v in known])
+    y = [[v[:, None] for v in outputs] for outputs in zip(*(e.y for e in equations), strict=True)]
+    masks = [
+        np.column_stack(columns) for columns in zip(*(e.usable for e in equations), strict=True)
+    ]
+    known_y = [np.concatenate(e.y)[np.concatenate(e.usable)] for e in equations]
+    Lambda = np.diag([float(np.var(v)) or 1.0 for v in known_y])
     for _ in range(_MAX_ROUNDS):
         G = [whitening(Lambda, mask) for mask in masks]
         basis = orthonormal(
-            np.vstack([spread_apart(g, of) for g, of in zip(G, blocks, strict=True)])
+            np.vstack(
+                [spread_apart(g, regressors) for g, regressors in zip(G, blocks, strict=True)]
+            )
         )
-        right = np.concatenate([spread(g, of)[:, 0] for g, of in zip(G, y, strict=True)])
+        right = np.concatenate([spread(g, outputs)[:, 0] for g, outputs in zip(G, y, strict=True)])
         theta = tuple(np.split(basis.coefficients(right), ends))
         pairs = zip(equations, theta, strict=True)
-        e = np.column_stack([np.concatenate(of.residuals(own)) for of, own in pairs])
+        e = np.column_stack(
+            [np.concatenate(regression.residuals(parameters)) for regression, parameters in pairs]
+        )
         before, Lambda = Lambda, pairwise_covariance(e)
         if np.abs(Lambda - before).max() <= _SAME_TOLERANCE * np.abs(Lambda).max():
             break
-    return _Solution(theta=theta, basis=basis, weights=tuple(G))
+    return _RegressionSolution(theta=theta, basis=basis, weights=tuple(G))
 
 
 def _with_stable_poles(
-    equations: Sequence[_Equation], found: _Solution, na: list[int]
-) -> tuple[_Solution, list[Finding]]:
+    equations: Sequence[_Equation], solution: _RegressionSolution, na: list[int]
+) -> tuple[_RegressionSolution, list[Finding]]:
     """Return the solution with reflected poles and a new B, and the warnings."""
-    free = [monic(theta[:n]) for theta, n in zip(found.theta, na, strict=True)]
-    inside = [stabilised(A) for A in free]
+    free = [monic(theta[:n]) for theta, n in zip(solution.theta, na, strict=True)]
+    inside = [stabilise(A) for A in free]
     notes = [w for A, p in zip(free, inside, strict=True) for w in reflection_warnings(A, p)]
     if all(A is p for A, p in zip(free, inside, strict=True)):
-        return found, notes
-    rest = [
+        return solution, notes
+    B_equations = [
         replace(
             equation,
             Phi=tuple(Phi[:, n:] for Phi in equation.Phi),
@@ -248,37 +259,38 @@ def _with_stable_poles(
         )
         for equation, A, n in zip(equations, inside, na, strict=True)
     ]
-    pairs = zip(inside, _solved(rest).theta, strict=True)
-    return replace(found, theta=tuple(np.concatenate([A[1:], b]) for A, b in pairs)), notes
+    pairs = zip(inside, _solve(B_equations).theta, strict=True)
+    return replace(solution, theta=tuple(np.concatenate([A[1:], b]) for A, b in pairs)), notes
 
 
 def _outputs(
     data: Dataset | Signals,
     equations: Sequence[_Equation],
-    found: _Solution,
+    solution: _RegressionSolution,
     na: Integers,
     nb: Integers,
     nk: Integers,
 ) -> Iterator[EstimatedOutput]:
     """Yield the polynomials and residuals of each output."""
-    parts, (ny, nu), one = list(data.experiments()), nb.shape, np.ones(1)
-    Q = np.split(found.basis.Q, np.cumsum([ny * part.N for part in parts])[:-1])
+    parts, (ny, nu), unity = list(data.experiments()), nb.shape, np.ones(1)
+    Q = np.split(solution.basis.Q, np.cumsum([ny * part.N for part in parts])[:-1])
     shares = [[M] for M in Q]
     if ny > 1:
-        shares = [unspread(G, M) for G, M in zip(found.weights, Q, strict=True)]
-    whole = np.split(np.eye(len(found.basis.W)), np.cumsum([e.size for e in equations])[:-1])
-    for i, (equation, theta) in enumerate(zip(equations, found.theta, strict=True)):
-        each = np.split(theta, np.cumsum([*na[i], *nb[i]])[:-1])
+        shares = [unspread(G, M) for G, M in zip(solution.weights, Q, strict=True)]
+    jacobians = np.split(np.eye(len(solution.basis.W)), np.cumsum([e.size for e in equations])[:-1])
+    for i, (equation, theta) in enumerate(zip(equations, solution.theta, strict=True)):
+        coefficients = np.split(theta, np.cumsum([*na[i], *nb[i]])[:-1])
         delays = nk[i].tolist()
         yield EstimatedOutput(
             polynomials={
-                "A": tuple(np.append(float(i == k), each[k]) for k in range(ny)),
+                "A": tuple(np.append(float(i == k), coefficients[k]) for k in range(ny)),
                 "B": tuple(
-                    np.append(np.zeros(k), b) for k, b in zip(delays, each[ny:], strict=True)
+                    np.append(np.zeros(k), b)
+                    for k, b in zip(delays, coefficients[ny:], strict=True)
                 ),
-                "C": one,
-                "D": one,
-                "F": (one,) * nu,
+                "C": unity,
+                "D": unity,
+                "F": (unity,) * nu,
                 "nk": tuple(delays),
                 "integrators": False,
             },
@@ -289,5 +301,5 @@ def _outputs(
                 )
             ),
             parameters=equation.size,
-            J=whole[i],
+            J=jacobians[i],
         )

@@ -14,7 +14,7 @@ import numpy as np
 
 from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.models.structure import Structure
-from armrig.numerics.exact_sampling import Hold, SampledSystem, sampled
+from armrig.numerics.exact_sampling import Hold, SampledSystem, sample_system
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array, monic, roots, stable
 
@@ -23,7 +23,7 @@ MAX_RATE = 12.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Point:
+class SampledPoint:
     """Sampled model at one point of the search."""
 
     problem: PolynomialProblem
@@ -35,13 +35,14 @@ class Point:
     by_combination: Array
     """Derivatives of `combination` (L, m, n) by the searched parameters."""
 
-    def derivatives(self, found: Solution) -> Array:
+    def derivatives(self, solution: Solution) -> Array:
         """Return the derivatives of the prediction by the searched parameters, (M, n)."""
-        moved = np.einsum("lpn,p->ln", self.by_combination, found.linear)
+        moved = np.einsum("lpn,p->ln", self.by_combination, solution.linear)
         blocks = [
-            past.without(of[0].X @ moved) for past, of in zip(found.past, found.given, strict=True)
+            past.without(signals[0].X @ moved)
+            for past, signals in zip(solution.past, solution.given, strict=True)
         ]
-        return np.asarray(found.by_theta @ self.by_theta + np.vstack(blocks))
+        return np.asarray(solution.by_theta @ self.by_theta + np.vstack(blocks))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,10 +110,10 @@ class ContinuousProblem:
         row = replace(self.row, reach=int(delay) + self.poles + 2)
         return replace(self, sampled_problem=replace(self.sampled_problem, rows=(row,)))
 
-    def at(self, theta: Array) -> Point:
+    def at(self, theta: Array) -> SampledPoint:
         """Return the sampled model at theta, with its derivatives."""
         noise, f, delay = self.parts_of(theta)
-        exact = sampled(self.with_root(f), delay, self.hold, fraction=self.delay is None)
+        exact = sample_system(self.with_root(f), delay, self.hold, fraction=self.delay is None)
         used = slice(0, self.zeros + 1)
         k, n = noise.size, f.size
         F, F_by_f = _without_root(exact) if self.integrates else (exact.F, exact.F_by_f)
@@ -125,7 +126,7 @@ class ContinuousProblem:
             by_combination[:, :, -1] = exact.B_by_delay[:, used]
         row = replace(self.row, nk=(exact.nk,), nb=(exact.B.shape[0],), nf=(F.size - 1,))
         columns = np.array(exact.B[:, used])
-        return Point(
+        return SampledPoint(
             problem=replace(self.sampled_problem, rows=(row,), combination=columns),
             theta=np.append(noise, F[1:]),
             by_theta=by_theta,
@@ -135,11 +136,11 @@ class ContinuousProblem:
     def linearise(self, theta: Array) -> tuple[Array, Array]:
         """Return e and J at theta, scaled so that |e|² is the cost."""
         point = self.at(theta)
-        found, scale = point.problem.solve_scaled(point.theta)
-        J = point.derivatives(found)
+        solution, scale = point.problem.solve_scaled(point.theta)
+        J = point.derivatives(solution)
         # Kaufman's Jacobian: the derivatives without their projection on those by b.
-        basis = np.linalg.qr(found.by_ab)[0]
-        return scale * found.e, scale * (J - basis @ (basis.T @ J))
+        basis = np.linalg.qr(solution.by_ab)[0]
+        return scale * solution.e, scale * (J - basis @ (basis.T @ J))
 
     def cost(self, theta: Array) -> float:
         """Return the sum of squared errors at theta."""

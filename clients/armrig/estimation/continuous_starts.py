@@ -24,8 +24,8 @@ from scipy.linalg import solve_toeplitz
 from armrig.estimation.continuous_problem import ContinuousProblem, continuous_denominator
 from armrig.estimation.start_values import start_values
 from armrig.models.innovations import trend
-from armrig.numerics.exact_sampling import Hold, SampledSystem, sampled
-from armrig.numerics.polynomial import Array, filtered, monic, roots
+from armrig.numerics.exact_sampling import Hold, SampledSystem, sample_system
+from armrig.numerics.polynomial import Array, apply_filter, monic, roots
 
 _CUTOFFS = (0.1, 0.5)  # frequencies of the first filters, in 1/sample
 _SLOW_CUTOFF = 8.0  # lowest of these frequencies, times the number of samples
@@ -115,12 +115,12 @@ def _by_instruments(problem: ContinuousProblem) -> Iterator[tuple[str, Array]]:
 
     slow = min(_SLOW_CUTOFF / problem.N, _CUTOFFS[0] / 2)
     cutoffs = (slow, np.sqrt(slow * _CUTOFFS[0]), *_CUTOFFS)
-    first = [_regressed(problem, _filter(n, cutoff), instruments=False) for cutoff in cutoffs]
+    first = [_regress(problem, _filter(n, cutoff), instruments=False) for cutoff in cutoffs]
     costs = [cost(f) for f in first]
     f = first[int(np.argmin(costs))]
     best, least = f, min(costs)
     for _ in range(_ITERATIONS):
-        f = _regressed(problem, f, instruments=True)
+        f = _regress(problem, f, instruments=True)
         if (now := cost(f)) < least:
             best, least = f, now
     if not np.isfinite(least):
@@ -128,11 +128,11 @@ def _by_instruments(problem: ContinuousProblem) -> Iterator[tuple[str, Array]]:
     yield "SRIV", problem.joined(np.zeros(problem.noise_size), best, 0.0)
 
 
-def _regressed(problem: ContinuousProblem, f: Array, *, instruments: bool) -> Array:
+def _regress(problem: ContinuousProblem, f: Array, *, instruments: bool) -> Array:
     """Return f_1 … of the regression with signals filtered by 1/F(s), with stable poles."""
     n, m = f.size, min(problem.zeros, f.size - 1)
     hold: Hold = "foh" if problem.integrates else problem.hold
-    of_y, of_u = sampled(f, 0.0, "foh"), sampled(f, problem.delay or 0.0, hold)
+    of_y, of_u = sample_system(f, 0.0, "foh"), sample_system(f, problem.delay or 0.0, hold)
     blocks, tools = [], []
     for (x,) in problem.sampled_problem.experiments:
         y, u = _derivatives(x.y, of_y), _derivatives(x.u[:, 0], of_u)
@@ -151,7 +151,7 @@ def _regressed(problem: ContinuousProblem, f: Array, *, instruments: bool) -> Ar
     return _stable(theta[:n])
 
 
-def moved_modes(problem: ContinuousProblem, theta: Array) -> Iterator[Array]:
+def starts_with_moved_pole(problem: ContinuousProblem, theta: Array) -> Iterator[Array]:
     """Yield theta with a real pole moved, or two poles replaced by a pair or two real poles."""
     noise, f, delay = problem.parts_of(theta)
     s = roots(monic(f)).astype(np.complex128)
@@ -174,7 +174,7 @@ def moved_modes(problem: ContinuousProblem, theta: Array) -> Iterator[Array]:
 def _derivatives(x: Array, system: SampledSystem) -> Array:
     """Return s^p/F x for p = 0 … n - 1, (N, n)."""
     before = np.zeros(system.nk)
-    return np.column_stack([filtered(np.append(before, b), system.F, x) for b in system.B.T])
+    return np.column_stack([apply_filter(np.append(before, b), system.F, x) for b in system.B.T])
 
 
 def _stable(f: Array) -> Array:

@@ -19,11 +19,11 @@ from armrig.data.columns import Vector, constancy
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rows_of_each_value
 from armrig.data.finding import Finding, warning
-from armrig.data.treatment import hampel, integrating, known_to_integrate
+from armrig.data.treatment import hampel, integrates_by_name, integrating
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.quantities import digits, listed, percent, plural
+from armrig.numerics.quantities import digits, join_names, percent, plural
 from armrig.numerics.regressors import unique_whitening, whitening
-from armrig.numerics.whiteness import WHITE_LEVEL, joined, ljung_box
+from armrig.numerics.whiteness import WHITE_LEVEL, join_residuals, ljung_box
 
 NO_OPTION = "remove the means (detrend), or take a structure with the option offset, such as OE"
 """Remedy for an offset if the estimator cannot estimate an offset."""
@@ -64,7 +64,7 @@ def data_faults(data: Dataset, residuals: Sequence[Vector], *, way_out: str) -> 
 
     An unknown residual is NaN. `way_out` is the remedy for an offset, or "" if it is estimated.
     """
-    yield from swapped(data)
+    yield from swap_warnings(data)
     if way_out and constant_input(data):
         yield warning("excitation", CONSTANT_INPUT)
     e = np.concatenate(residuals)
@@ -72,7 +72,7 @@ def data_faults(data: Dataset, residuals: Sequence[Vector], *, way_out: str) -> 
     if e.size < _MIN_RESIDUALS:
         return
     yield from _wrong_samples(data, e)
-    if way_out and _doubtful(residuals) and not known_to_integrate(data.output):
+    if way_out and _doubtful(residuals) and not integrates_by_name(data.output):
         level = level_without_input(data)
         if level and not integrating(data):
             if data.trends:
@@ -80,7 +80,7 @@ def data_faults(data: Dataset, residuals: Sequence[Vector], *, way_out: str) -> 
             yield replace(level, text=f"{level.text}, which the model cannot represent: {way_out}")
 
 
-def swapped(data: Dataset) -> Iterator[Finding]:
+def swap_warnings(data: Dataset) -> Iterator[Finding]:
     """Yield a warning if y looks like an input and u like its response."""
     y = data.y[data.valid]
     if np.unique(y).size == _TWO_LEVELS and np.unique(data.u).size > max(
@@ -123,7 +123,7 @@ def require_no_copies(data: Dataset) -> None:
             )
 
 
-def undetermined(data: Dataset | Signals) -> str:
+def cause_of_indeterminacy(data: Dataset | Signals) -> str:
     """Return the cause of undetermined parameters, or a remedy if the cause is unknown."""
     if isinstance(data, Signals):
         return "lower the orders or excite with richer inputs"
@@ -181,8 +181,8 @@ def looking_wrong(data: Signals, *, instrument: bool = False) -> tuple[int, str]
 
 def _are_of_an_instrument(data: Signals, wrong: NDArray[np.intp]) -> bool:
     """Return whether a few values recur, such as -127, or are far beyond the other values."""
-    values, rest = data.y[wrong, 0], np.delete(data.y[:, 0], wrong)
-    low, high = float(np.nanmin(rest)), float(np.nanmax(rest))
+    values, others = data.y[wrong, 0], np.delete(data.y[:, 0], wrong)
+    low, high = float(np.nanmin(others)), float(np.nanmax(others))
     beyond = np.maximum(values - high, low - values) > _BEYOND * (high - low)
     few = np.unique(values).size <= min(_INSTRUMENT_VALUES, wrong.size - 1)
     return bool(few or beyond.all())
@@ -197,18 +197,18 @@ def _depend_on_the_state(data: Signals, wrong: NDArray[np.intp]) -> bool:
     from scipy.ndimage import maximum_filter1d
     from scipy.stats import ks_2samp
 
-    y, rest = data.y[:, 0], np.setdiff1d(np.flatnonzero(data.valid), wrong)
+    y, right_samples = data.y[:, 0], np.setdiff1d(np.flatnonzero(data.valid), wrong)
     clustered = np.count_nonzero(_distances(wrong) <= _COLOUR_LAGS) / wrong.size
     by_chance = 1 - exp(-2 * _COLOUR_LAGS * wrong.size / data.N)
     if clustered > by_chance + _CLUSTERED * sqrt(by_chance * (1 - by_chance) / wrong.size):
         return True
-    right = np.interp(np.arange(data.N), rest, y[rest])
+    right = np.interp(np.arange(data.N), right_samples, y[right_samples])
     signals = [right, *data.u.T]
     moves = [np.abs(np.diff(x, prepend=x[0])) for x in signals]
     recent = [maximum_filter1d(x, _COLOUR_LAGS, origin=_COLOUR_LAGS // 2 - 1) for x in moves]
     states = [*signals, *(np.abs(x - np.median(x)) for x in signals), *recent]
     level = _STATE_LEVEL / len(states)
-    return any(ks_2samp(x[wrong], x[rest]).pvalue < level for x in states)
+    return any(ks_2samp(x[wrong], x[right_samples]).pvalue < level for x in states)
 
 
 def _are_single(
@@ -230,13 +230,13 @@ def _are_single(
         right[t] = y[t]
         e = model.residuals(data.u, right)[t : t + n + 1]
         right[t] = np.nan
-        known = np.isfinite(e)
-        a, e = model.A[: e.size][known], e[known]
-        whole = float(e @ e)
-        rest = whole - float(a @ e) ** 2 / max(float(a @ a), 1e-300)
+        finite = np.isfinite(e)
+        a, e = model.A[: e.size][finite], e[finite]
+        sum_of_squares = float(e @ e)
+        remainder = sum_of_squares - float(a @ e) ** 2 / max(float(a @ a), 1e-300)
         noise = e.size * usual
-        both = min(_SMALL_REST * whole, _UNUSUAL * noise)
-        single[i] = rest < max(_SINGLE_REST * whole, _USUAL * noise, both)
+        both = min(_SMALL_REST * sum_of_squares, _UNUSUAL * noise)
+        single[i] = remainder < max(_SINGLE_REST * sum_of_squares, _USUAL * noise, both)
     return single
 
 
@@ -248,7 +248,7 @@ def _distances(wrong: NDArray[np.intp]) -> NDArray[np.int_]:
 
 def _doubtful(residuals: Sequence[Vector]) -> bool:
     """Return whether the residuals are coloured or their mean is significantly different from 0."""
-    e = joined(residuals, _COLOUR_LAGS)
+    e = join_residuals(residuals, _COLOUR_LAGS)
     if ljung_box(e, _COLOUR_LAGS) < WHITE_LEVEL:
         return True
     e = e[np.isfinite(e)]
@@ -282,7 +282,7 @@ def level_without_input(
     unit = f" {data.units[0]}" if data.units[0] else ""
     text = f"{output} is about {digits(level, 3)}{unit} at {' = '.join(data.inputs)} = 0 ({more})"
     if not (_is_near(level, data.y[data.valid]) and all(_is_near(0.0, u) for u in data.u.T)):
-        text = f"a linear model from {listed(data.inputs)} to {output} needs a level ({more})"
+        text = f"a linear model from {join_names(data.inputs)} to {output} needs a level ({more})"
     return warning(
         "level",
         text,

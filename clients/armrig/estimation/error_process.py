@@ -60,9 +60,9 @@ def error_process(errors: Sequence[Array]) -> ErrorProcess:
 
     The one-step errors (N, ny) of each experiment are NaN where an output is missing.
     """
-    known = np.vstack(errors)
-    ny = known.shape[1]
-    mean = np.nanmean(known, axis=0)
+    all_errors = np.vstack(errors)
+    ny = all_errors.shape[1]
+    mean = np.nanmean(all_errors, axis=0)
     for p in range(_LAGS, 0, -1):
         inputs = [(np.zeros((len(e), 0)), e - mean) for e in errors]
         parts = complete_stretches(inputs, p + 1)
@@ -75,9 +75,9 @@ def error_process(errors: Sequence[Array]) -> ErrorProcess:
         process = ErrorProcess(coefficients=A, w=w)
         if np.max(np.abs(np.linalg.eigvals(process.companion))) < 1:
             return process
-    complete = known[np.isfinite(known).all(axis=1)]
+    complete = all_errors[np.isfinite(all_errors).all(axis=1)]
     if not complete.size:  # no instant has all outputs, so their errors are taken as independent
-        each = [e[np.isfinite(e)] for e in known.T]
+        each = [e[np.isfinite(e)] for e in all_errors.T]
         complete = np.column_stack([e[: min(map(len, each))] for e in each])
     return ErrorProcess(coefficients=np.zeros((0, ny, ny)), w=complete - complete.mean(axis=0))
 

@@ -51,17 +51,19 @@ def fit_of_outputs(
     W (d, r) transforms the influences of the residuals to the d estimated coefficients.
     """
     names = estimates[0].polynomials
-    found = infer(
-        [*zip(*(one.residuals for one in estimates), strict=True)],
+    inference = infer(
+        [*zip(*(estimate.residuals for estimate in estimates), strict=True)],
         W,
-        parameters=[one.parameters for one in estimates],
+        parameters=[estimate.parameters for estimate in estimates],
         score=score,
         rounding=rounding,
     )
     return Fit(
         structure=structure,
-        form=Polynomials(**{x: tuple(one.polynomials[x] for one in estimates) for x in names}),
-        **found.transformed(np.vstack([one.J for one in estimates])).fields(),
+        form=Polynomials(
+            **{x: tuple(estimate.polynomials[x] for estimate in estimates) for x in names}
+        ),
+        **inference.transformed(np.vstack([estimate.J for estimate in estimates])).fields(),
         **origin(data),
         **fields,
     )

@@ -10,7 +10,7 @@ from armrig.data.columns import Vector
 from armrig.models.spectral_estimate import gain_unit
 from armrig.numerics.criteria import Criterion
 from armrig.numerics.quantities import digits
-from armrig.plots.captions import labelled, legend, sign
+from armrig.plots.captions import legend, sign, symbol_of
 from armrig.plots.layout import (
     BLUE,
     GREEN,
@@ -56,7 +56,7 @@ def plot_impulse(response: ImpulseResponse, *, level: float = 0.99, ax: Axes | N
             response.lags, response.g - width, response.g + width, color=SKY, alpha=0.4, lw=0
         )
         below.plot(response.lags, response.g, color=BLUE)
-        below.set_ylabel(f"$g$ of {labelled(response.output)}\n[{gain_unit(response)}]")
+        below.set_ylabel(f"$g$ of {symbol_of(response.output)}\n[{gain_unit(response)}]")
         below.set_xlabel("lag [samples]")
     else:
         ax, below = axes(ax), None
@@ -68,13 +68,13 @@ def plot_impulse(response: ImpulseResponse, *, level: float = 0.99, ax: Axes | N
     how = f"{response.kernel.upper()} kernel" if response.kernel else "least squares"
     finish(*(p for p in (ax, below) if p is not None))
     if below is not None:
-        legend(below, f"running sum: impulse response of {labelled(response.output)}")
+        legend(below, f"running sum: impulse response of {symbol_of(response.output)}")
     return sign(ax, response.source, above=legend(ax, f"impulse response of {rate}, by {how}"))
 
 
 def label_coefficients(ax: Axes, response: ImpulseResponse) -> str:
     """Label the axis of an impulse response, and return the name of the responding signal."""
-    name = labelled(response.output)
+    name = symbol_of(response.output)
     name = f"rate of {name}" if response.integrator else name
     ax.set_ylabel(f"$g$ of {name}\n[{gain_unit(response, rate=response.integrator)}]")
     return name
@@ -114,7 +114,7 @@ def plot_step_analysis(result: StepAnalysis, *, ax: Axes | None = None) -> Axes:
         name = rf"63 %: $\tau$ = {digits(1e3 * result.tau, 3)} ms"
         ax.plot(at, rise, "o", color=VERMILION, ms=4, label=name)
     ax.set_xlabel("$t$ from the step [s]")
-    ax.set_ylabel(f"{labelled(result.output)} [{gain_unit(result)}]")
+    ax.set_ylabel(f"{symbol_of(result.output)} [{gain_unit(result)}]")
     finish(ax, xlim=(max(float(result.t[0]), -0.15 * end), end))
     _about(ax, np.append(result.smooth[result.smooth_t <= end], [0.0, level]))
     return sign(ax, result.source, above=legend(ax))
@@ -137,8 +137,8 @@ def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
     ax.set_ylabel("response over\nits final value")
     s = result.spectrum
     # |G| below two standard deviations is noise and is not drawn.
-    known = np.isfinite(s.G) & (s.magnitude > 2 * np.nan_to_num(s.std_magnitude))
-    relative = np.where(known, s.magnitude, np.nan) / result.gain
+    significant = np.isfinite(s.G) & (s.magnitude > 2 * np.nan_to_num(s.std_magnitude))
+    relative = np.where(significant, s.magnitude, np.nan) / result.gain
     below.plot(s.omega, relative, color=BLUE, lw=1.1, label="$|G|$, relative")
     below.plot(result.omega, result.power, color=GREY, lw=0.8, ls="--", label="power of the output")
     below.axhline(np.sqrt(0.5), color=INK, lw=0.7, ls=":", label="−3 dB")
@@ -150,7 +150,7 @@ def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
         below.axvline(w, color=colour, ls=dash, lw=1.0, label=name)
     below.set_xscale("log")
     below.set_yscale("log")
-    drawn = np.concatenate([relative[known], result.power, [np.sqrt(0.5), 1.0]])
+    drawn = np.concatenate([relative[significant], result.power, [np.sqrt(0.5), 1.0]])
     drawn = drawn[drawn > MIN_SHOWN_POWER]
     below.set_ylim(0.5 * float(drawn.min()), 2 * float(drawn.max()))
     below.set_xlabel(r"$\omega$ [rad/s]")
@@ -176,8 +176,8 @@ def plot_orders(
     share = loss / float(np.nanmin(np.where(np.isfinite(loss) & (loss > 0), loss, np.nan)))
     d = table.parameters
     best = table.envelope(criterion)
-    shown = np.isfinite(share)
-    ax.plot(d[shown], share[shown], ".", color=GREY, ms=4, alpha=0.5, label="all structures")
+    finite = np.isfinite(share)
+    ax.plot(d[finite], share[finite], ".", color=GREY, ms=4, alpha=0.5, label="all structures")
     ax.plot(d[best], share[best], "o-", color=BLUE, ms=4, lw=1.0, label="best for each number")
     chosen: dict[int, list[str]] = {}
     for name in table.criteria:

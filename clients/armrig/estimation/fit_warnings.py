@@ -19,10 +19,10 @@ from armrig.numerics.quantities import digits, plural
 _CIRCLE_TOLERANCE = 1e-6
 
 
-def not_converged(steps: int, of: str = "") -> Finding:
+def not_converged(steps: int, of_output: str = "") -> Finding:
     """Return the warning about a search that ended without a minimum."""
     text = (
-        f"the search{of} did not converge in {plural(steps, 'step')}: lower the orders, or "
+        f"the search{of_output} did not converge in {plural(steps, 'step')}: lower the orders, or "
         "record more "
     )
     return warning("search", f"{text}data", "order", steps=steps)

@@ -13,13 +13,13 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.data_faults import NO_OPTION, data_faults, require_moving_output
 from armrig.estimation.fit_warnings import with_doubts
 from armrig.estimation.orders import require_samples
-from armrig.estimation.stability import reflection_warnings, stabilised, with_stability_warning
+from armrig.estimation.stability import reflection_warnings, stabilise, with_stability_warning
 from armrig.models.fit import Fit
 from armrig.numerics.checks import MAX_ORDER, require_integers
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.inference import OutputResiduals, infer
 from armrig.numerics.least_squares import column_norms, orthonormal
-from armrig.numerics.polynomial import Array, filtered, lagged, reflected
+from armrig.numerics.polynomial import Array, apply_filter, lag_columns, reflect_roots
 from armrig.numerics.quantities import plural
 from armrig.numerics.regressors import arx_rows, complete
 from armrig.numerics.whiteness import autoregression
@@ -79,40 +79,42 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     lags = range(nk, nk + nb)
     parts = [arx_rows(part.u, part.y, na=na, lags=lags) for part in data.experiments()]
     inputs = [part.u for part in data.experiments()]
-    whole = [p.block for p in parts]  # NaN in incomplete rows
+    blocks = [p.block for p in parts]  # NaN in incomplete rows
     d, y = na + nb, np.concatenate([p.y[p.usable] for p in parts])
     N = y.size
     require_samples(f"{orders} with the gaps left out", needed=2 * d + 1, got=N)
-    theta, *_ = _solved([p.Phi for p in parts], whole, orders)  # least squares
+    theta, *_ = _solve([p.Phi for p in parts], blocks, orders)  # least squares
     Z = _instruments(inputs, theta, na=na, nb=nb, nk=nk)
-    theta, *_ = _solved(Z, whole, orders)
-    L, _ = autoregression(_left(whole, theta))
+    theta, *_ = _solve(Z, blocks, orders)
+    L, _ = autoregression(_residuals(blocks, theta))
 
-    Z = [_filtered(L, z) for z in _instruments(inputs, theta, na=na, nb=nb, nk=nk)]
-    prewhitened = [_filtered(L, block) for block in whole]
-    theta, inverse, instruments, e = _solved(Z, prewhitened, orders)
+    Z = [_filter(L, z) for z in _instruments(inputs, theta, na=na, nb=nb, nk=nk)]
+    prewhitened = [_filter(L, block) for block in blocks]
+    theta, inverse, instruments, e = _solve(Z, prewhitened, orders)
     A = free = np.append(1.0, theta[:na])
-    if stable and (A := stabilised(free)) is not free:
+    if stable and (A := stabilise(free)) is not free:
         theta, e = _with_given_poles(A, prewhitened)
     basis = orthonormal(instruments)
     influences = np.split(basis.Q, np.cumsum([v.size for v in e])[:-1])
-    found = infer(
+    inference = infer(
         [[OutputResiduals(e=v, H=H)] for v, H in zip(e, influences, strict=True)],
         inverse @ basis.W,
         score="correlated",
         test="ljung-box",
         prewhitening=L.size - 1,
     )
-    sse = sum(float(np.nansum(v**2)) for v in _left(whole, theta))
+    sse = sum(float(np.nansum(v**2)) for v in _residuals(blocks, theta))
     fit = Fit.of_channel(
         structure="iv4",
         A=A,
         B=np.append(np.zeros(nk), theta[na:]),
         nk=nk,
-        covariance=found.covariance,
-        covariance_robust=found.covariance_robust,
+        covariance=inference.covariance,
+        covariance_robust=inference.covariance_robust,
         noise_covariance=np.array([[sse / (N - d)]]),
-        quality=(replace(found.quality[0], loss=sse / N, N=N, fit_percent=fit_percent(y, sse)),),
+        quality=(
+            replace(inference.quality[0], loss=sse / N, N=N, fit_percent=fit_percent(y, sse)),
+        ),
         Ts=data.Ts,
         findings=(*reflection_warnings(free, A), *data_faults(data, e, way_out=NO_OPTION)),
         input=data.input,
@@ -124,45 +126,50 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
 def _with_given_poles(A: Array, blocks: Sequence[Array]) -> tuple[Array, list[Array]]:
     """Return theta and residuals for a given A, with B by least squares, as u has no noise."""
     na = A.size - 1
-    known = np.vstack([block[complete(block)] for block in blocks])
-    left = known[:, -1] - known[:, :na] @ A[1:]
-    b = orthonormal(known[:, na:-1]).coefficients(left)
+    rows = np.vstack([block[complete(block)] for block in blocks])
+    left = rows[:, -1] - rows[:, :na] @ A[1:]
+    b = orthonormal(rows[:, na:-1]).coefficients(left)
     theta = np.concatenate([A[1:], b])
-    return theta, _left(blocks, theta)
+    return theta, _residuals(blocks, theta)
 
 
-def _left(whole: Sequence[Array], theta: Array) -> list[Array]:
+def _residuals(blocks: Sequence[Array], theta: Array) -> list[Array]:
     """Return y - Phi theta of each experiment, NaN in incomplete rows."""
-    return [block[:, -1] - block[:, :-1] @ theta for block in whole]
+    return [block[:, -1] - block[:, :-1] @ theta for block in blocks]
 
 
 def _instruments(
     inputs: Sequence[Array], theta: Array, *, na: int, nb: int, nk: int
 ) -> list[Array]:
     """Return the regressors in which the simulated output, without noise, replaces y."""
-    A, B = reflected(np.append(1.0, theta[:na])), np.append(np.zeros(nk), theta[na:])
+    A, B = reflect_roots(np.append(1.0, theta[:na])), np.append(np.zeros(nk), theta[na:])
     return [
-        np.hstack([-lagged(filtered(B, A, u), range(1, na + 1)), lagged(u, range(nk, nk + nb))])
+        np.hstack(
+            [
+                -lag_columns(apply_filter(B, A, u), range(1, na + 1)),
+                lag_columns(u, range(nk, nk + nb)),
+            ]
+        )
         for u in inputs
     ]
 
 
-def _filtered(L: Array, block: Array) -> Array:
+def _filter(L: Array, block: Array) -> Array:
     """Return the columns filtered by L, with NaN where a value depends on an unknown value."""
     out = np.column_stack([np.convolve(x, L)[: x.size] for x in block.T])
     out[: L.size - 1] = np.nan
     return out
 
 
-def _solved(
+def _solve(
     Z: Sequence[Array], blocks: Sequence[Array], orders: str
 ) -> tuple[Array, Array, Array, list[Array]]:
     """Return theta with Z^T (y - Phi theta) = 0, (Q^T Phi)^-1 and Q of Z = Q R, and residuals."""
     rows = [complete(z, block) for z, block in zip(Z, blocks, strict=True)]
     basis = orthonormal(np.vstack([z[r] for z, r in zip(Z, rows, strict=True)]))
-    known = np.vstack([block[r] for block, r in zip(blocks, rows, strict=True)])
-    d = known.shape[1] - 1
-    projected = basis.Q.T @ known
+    usable_rows = np.vstack([block[r] for block, r in zip(blocks, rows, strict=True)])
+    d = usable_rows.shape[1] - 1
+    projected = basis.Q.T @ usable_rows
     scale = np.maximum(column_norms(projected[:, :-1]), np.finfo(float).tiny)
     if basis.rank < d or np.linalg.matrix_rank(projected[:, :-1] / scale) < d:
         raise InputError(
@@ -171,6 +178,6 @@ def _solved(
         )
     inverse = np.linalg.inv(projected[:, :-1])
     theta = inverse @ projected[:, -1]
-    left = zip(rows, _left(blocks, theta), strict=True)
+    left = zip(rows, _residuals(blocks, theta), strict=True)
     e = [np.where(r, v, np.nan) for r, v in left]
     return theta, inverse, basis.spread(np.concatenate(rows)).Q, e

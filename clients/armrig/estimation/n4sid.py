@@ -11,7 +11,7 @@ import numpy as np
 from armrig.data.argument import takes_signals
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding, warning
-from armrig.data.treatment.integrating import integrating, known_to_integrate, may_be_one
+from armrig.data.treatment.integrating import integrates_by_name, integrating, may_be_one
 from armrig.estimation.data_faults import NO_OPTION, data_faults, require_informative
 from armrig.estimation.error_process import error_process
 from armrig.estimation.estimated_outputs import origin
@@ -30,14 +30,14 @@ from armrig.estimation.state_space_problem import (
     delays_of,
     directions,
     parts_of,
-    scaled_signals,
+    scale_signals,
 )
 from armrig.estimation.subspace import Parts
 from armrig.estimation.subspace_estimate import (
     MAX_PASSES,
     SubspaceEstimate,
     SubspaceOptions,
-    estimated,
+    estimate_subspace_model,
     for_simulation,
     weights_of,
 )
@@ -173,7 +173,7 @@ def n4sid(
     delays = delays_of(nk, data)
     require_windows(horizon or least_horizon(order, data.ny), data.nu + data.ny, data.N)
     require_informative(data)
-    scaled, su, sy = scaled_signals(data, delays)
+    scaled, su, sy = scale_signals(data, delays)
     options = SubspaceOptions(
         order=order if order is None else int(order),
         weights=weights,
@@ -183,64 +183,68 @@ def n4sid(
         direct=max(delays) == 0,
         simulated=focus == "simulation",
     )
-    found = estimated(scaled, options)
+    estimate = estimate_subspace_model(scaled, options)
     if focus == "simulation":
-        found = for_simulation(scaled, found, options)
-    one, Lambda = data.ny == 1, found.Lambda
-    parts = found.parts
-    if not one:
-        parts = parts_of(scaled, weights_of(found) if Lambda is None else Lambda)
+        estimate = for_simulation(scaled, estimate, options)
+    single_output, Lambda = data.ny == 1, estimate.Lambda
+    parts = estimate.parts
+    if not single_output:
+        parts = parts_of(scaled, weights_of(estimate) if Lambda is None else Lambda)
     problem = StateSpaceProblem(
-        parts=parts, order=len(found.model.A), direct=options.direct, noise=True, level=integrator
+        parts=parts,
+        order=len(estimate.model.A),
+        direct=options.direct,
+        noise=True,
+        level=integrator,
     )
-    sensitive = problem if Lambda is None else replace(problem, parts=found.parts)
-    V = directions(found.at.Abar, found.at.C)
-    by = derivatives(problem, found.at, V)
-    Psi, states = influence(sensitive, found.at, V, found.states if one else None)
+    sensitive = problem if Lambda is None else replace(problem, parts=estimate.parts)
+    V = directions(estimate.at.Abar, estimate.at.C)
+    by = derivatives(problem, estimate.at, V)
+    Psi, states = influence(sensitive, estimate.at, V, estimate.states if single_output else None)
     if integrator:
-        fixed = by.at_fixed_pole(found.model.A)
+        fixed = by.at_fixed_pole(estimate.model.A)
         by, Psi = by.along(fixed), Psi @ fixed
-    inferred = inference(data, problem, Psi, states, found.errors, sy)
+    inferred = inference(data, problem, Psi, states, estimate.errors, sy)
     if replicates > 1:
-        covariance = _replicated(scaled, found, by, options, replicates, seed)
+        covariance = _replicate_covariance(scaled, estimate, by, options, replicates, seed)
         inferred = replace(inferred, covariance=covariance, covariance_robust=covariance)
-    notes = [] if found.model.steady else [warning("no_gain", _NO_GAIN_TEXT)]
-    notes += [] if found.settled else [warning("search", _UNSETTLED_TEXT, steps=MAX_PASSES)]
+    notes = [] if estimate.model.steady else [warning("no_gain", _NO_GAIN_TEXT)]
+    notes += [] if estimate.settled else [warning("search", _UNSETTLED_TEXT, steps=MAX_PASSES)]
     if stable:
-        both = (np.real(np.poly(A)) for A in (found.free, found.model.A))
+        both = (np.real(np.poly(A)) for A in (estimate.free, estimate.model.A))
         notes += reflection_warnings(*both)
     notes += [] if replicates > 1 else [warning("bound", _BOUND_TEXT)]
-    return _fit(data, found, by, delays, options, inferred, notes, (su, sy))
+    return _fit(data, estimate, by, delays, options, inferred, notes, (su, sy))
 
 
 def order_of(data: Signals, nk: int | Sequence[int] = 1) -> int:
     """Return the number of states that `n4sid` chooses."""
     delays = delays_of(nk, data)
     require_informative(data)
-    scaled, _, _ = scaled_signals(data, delays)
-    return len(estimated(scaled, SubspaceOptions(direct=max(delays) == 0)).model.A)
+    scaled, _, _ = scale_signals(data, delays)
+    return len(estimate_subspace_model(scaled, SubspaceOptions(direct=max(delays) == 0)).model.A)
 
 
-def _replicated(
+def _replicate_covariance(
     signals: Parts,
-    found: SubspaceEstimate,
+    estimate: SubspaceEstimate,
     by: Derivatives,
     options: SubspaceOptions,
     replicates: int,
     seed: int,
 ) -> Array:
     """Return the covariance of the parameters over estimates from data that the model simulates."""
-    rng, at = np.random.default_rng(seed), found.at
-    process = error_process(found.errors)
-    same = replace(options, order=len(at.Abar), horizon=found.model.horizon)
-    length = 2 * found.model.horizon
+    rng, at = np.random.default_rng(seed), estimate.at
+    process = error_process(estimate.errors)
+    same = replace(options, order=len(at.Abar), horizon=estimate.model.horizon)
+    length = 2 * estimate.model.horizon
     samples = []
     for _ in range(replicates):
         data = [
             (u, np.where(np.isfinite(y), at.simulated(u, process.drawn(rng, len(u)), x0), np.nan))
             for (u, y), x0 in zip(signals, at.x0, strict=True)
         ]
-        samples.append(estimated(data, same).at.impulses(length))
+        samples.append(estimate_subspace_model(data, same).at.impulses(length))
     # Impulse responses, unlike parameters, do not depend on the coordinates of each replicate.
     spread = np.array(samples) - np.mean(samples, axis=0)
     columns = [
@@ -253,7 +257,7 @@ def _replicated(
 
 def _fit(
     data: Signals,
-    found: SubspaceEstimate,
+    estimate: SubspaceEstimate,
     by: Derivatives,
     delays: tuple[int, ...],
     options: SubspaceOptions,
@@ -262,27 +266,27 @@ def _fit(
     scales: tuple[Array, Array],
 ) -> Fit:
     """Return the model: polynomials for one input and one output, otherwise matrices."""
-    model, singular_values, specification = found.model, found.model.singular_values, ""
-    one, facts = data.nu == data.ny == 1, origin(data)
+    model, singular_values, specification = estimate.model, estimate.model.singular_values, ""
+    single_channel, facts = data.nu == data.ny == 1, origin(data)
     form: Form
-    if one:
+    if single_channel:
         (su,), (sy,) = scales
-        form, T = _observer_form(found, by, delays[0], options, sy / su)
+        form, T = _observer_form(estimate, by, delays[0], options, sy / su)
         inferred = inferred.transformed(T)
-        alone, facts = data.dataset(), origin(data.dataset())
-        residuals = [e[:, 0] * sy for e in found.errors]
+        dataset, facts = data.dataset(), origin(data.dataset())
+        residuals = [e[:, 0] * sy for e in estimate.errors]
         way_out = "" if options.integrator else NO_OPTION
         coloured = inferred.quality[0].white.coloured
         notes = [
             *notes,
-            *_warnings(alone, form.A[0][0], inferred.covariance, integrator=options.integrator),
+            *_warnings(dataset, form.A[0][0], inferred.covariance, integrator=options.integrator),
             *([warning("coloured", _COLOURED_TEXT)] if coloured else []),
-            *data_faults(alone, residuals, way_out=way_out),
+            *data_faults(dataset, residuals, way_out=way_out),
         ]
         # Except for the weights "cva", the singular values have the unit of y.
         singular_values = singular_values * (sy if options.weights != "cva" else 1.0)
     else:
-        form, T = matrices(found.at, by, *scales, delays)
+        form, T = matrices(estimate.at, by, *scales, delays)
         inferred = inferred.transformed(T)
         notes = [*notes, *instability(form), *_poor_fits(data, inferred.quality)]
         specification = as_text(order=len(form.A), nk=delays)
@@ -290,13 +294,13 @@ def _fit(
         structure="n4sid",
         specification=specification,
         form=form,
-        offset=one and options.integrator,
+        offset=single_channel and options.integrator,
         weights=options.weights,
         horizon=model.horizon,
         singular_values=singular_values,
-        canonical_correlations=found.canonical_correlations,
-        suggested_order=found.suggested_order,
-        converged=found.settled,
+        canonical_correlations=estimate.canonical_correlations,
+        suggested_order=estimate.suggested_order,
+        converged=estimate.settled,
         findings=tuple(notes),
         **inferred.fields(),
         **facts,
@@ -305,11 +309,11 @@ def _fit(
 
 
 def _observer_form(
-    found: SubspaceEstimate, by: Derivatives, nk: int, options: SubspaceOptions, gain: float
+    estimate: SubspaceEstimate, by: Derivatives, nk: int, options: SubspaceOptions, gain: float
 ) -> tuple[Polynomials, Array]:
     """Return A y = B u + C e from the observer form, and the derivatives of its theta."""
-    at = found.at
-    A, C = np.append(1.0, -found.model.A[:, 0]), np.append(1.0, -at.Abar[:, 0])
+    at = estimate.at
+    A, C = np.append(1.0, -estimate.model.A[:, 0]), np.append(1.0, -at.Abar[:, 0])
     D, by_a, by_D = at.D[0, 0], -by.A[:, :, 0], by.D[:, 0]
     b = at.B[:, 0] + A[1:] * D
     by_b = by.B[:, :, 0] + by_D * A[1:] + by_a * D
@@ -327,8 +331,8 @@ def _warnings(data: Dataset, A: Array, covariance: Array, *, integrator: bool) -
     real = not integrator and z[nearest].imag == 0
     integrates = real and may_be_one(z[nearest].real, std, data.N)
     if integrates:
-        known = known_to_integrate(data.output)
-        then = f"{data.output} integrates, so" if known else f"if {data.output} integrates,"
+        certain = integrates_by_name(data.output)
+        then = f"{data.output} integrates, so" if certain else f"if {data.output} integrates,"
         yield warning(
             "integrator",
             f"a pole is 1 within its accuracy (distance {digits(off, 1)}, standard deviation "
@@ -337,8 +341,8 @@ def _warnings(data: Dataset, A: Array, covariance: Array, *, integrator: bool) -
             off=off,
             std=std,
         )
-    elif not integrator and _may_integrate(data, z[nearest]) and (found := integrating(data)):
-        text = f"{found.text}, and a pole is {digits(off, 1)} from 1: try the option integrator"
+    elif not integrator and _may_integrate(data, z[nearest]) and (finding := integrating(data)):
+        text = f"{finding.text}, and a pole is {digits(off, 1)} from 1: try the option integrator"
         yield warning("integrator", text, "integrator", off=off)
     others = np.abs(np.delete(z, nearest) if integrates else z)
     if np.any(others > 1 + 1e-9):
@@ -347,19 +351,19 @@ def _warnings(data: Dataset, A: Array, covariance: Array, *, integrator: bool) -
 
 def _poor_fits(data: Signals, quality: Sequence[OutputQuality]) -> Iterator[Finding]:
     """Yield a warning for each output that the model predicts worse than a constant."""
-    for name, found in zip(data.outputs, quality, strict=True):
-        if found.fit_percent < 0:
+    for name, output_quality in zip(data.outputs, quality, strict=True):
+        if output_quality.fit_percent < 0:
             yield warning(
                 "poor_fit",
                 f"the model predicts {name} worse than the mean of {name} does "
-                f"(fit {digits(found.fit_percent, 2)} %): use another order, or ss",
-                fit_percent=found.fit_percent,
+                f"(fit {digits(output_quality.fit_percent, 2)} %): use another order, or ss",
+                fit_percent=output_quality.fit_percent,
             )
 
 
 def _may_integrate(data: Dataset, z: complex) -> bool:
     """Return whether the pole z may be an integrator; outside the circle y must integrate."""
-    return abs(z - 1) < _MAX_DISTANCE_FROM_1 and (abs(z) <= 1 or known_to_integrate(data.output))
+    return abs(z - 1) < _MAX_DISTANCE_FROM_1 and (abs(z) <= 1 or integrates_by_name(data.output))
 
 
 def _pole_std(A: Array, z: complex, covariance: Array) -> float:

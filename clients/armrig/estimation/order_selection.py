@@ -11,7 +11,7 @@ import numpy as np
 
 from armrig.data.argument import as_dataset, as_signals, takes_data
 from armrig.data.dataset import Dataset, Signals
-from armrig.estimation.order_table import OrderTable, asked_orders, order_table, require_same_rate
+from armrig.estimation.order_table import OrderTable, order_table, orders_to_try, require_same_rate
 from armrig.estimation.orders import Integers, by_channel
 from armrig.numerics.criteria import Criterion
 from armrig.numerics.polynomial import Array
@@ -130,25 +130,27 @@ def select_orders(
     - nb=5 is the highest that was tried: try higher values
     """
     signals = data.signals()
-    one = (signals.nu, signals.ny) == (1, 1)
-    taken = as_dataset if one else as_signals
-    other = None if validation is None else taken(validation).signals()
+    single_channel = (signals.nu, signals.ny) == (1, 1)
+    convert = as_dataset if single_channel else as_signals
+    other = None if validation is None else convert(validation).signals()
     if other is not None:
         require_same_rate(signals.Ts, other.Ts)
-    given = None
+    given_delays = None
     if isinstance(nk, Mapping):
-        given, nk = by_channel("nk", nk, data, least=0), [0]
-    nas, nbs, nks = asked_orders(na=na, nb=nb, nk=nk)
+        given_delays, nk = by_channel("nk", nk, data, least=0), [0]
+    nas, nbs, nks = orders_to_try(na=na, nb=nb, nk=nk)
     tables = {}
     for i, output in enumerate(signals.outputs):
-        delays = np.zeros(signals.nu, dtype=np.int_) if given is None else given[i]
+        delays = np.zeros(signals.nu, dtype=np.int_) if given_delays is None else given_delays[i]
         first = delays.min(keepdims=True)
         rows = _rows(signals, i, delays - first)
         on_other = None if other is None else _rows(other, i, delays - first)
         tables[output] = order_table(rows, nas, nbs, nks + first, on_other)
-    if one:
+    if single_channel:
         return tables[signals.outputs[0]]
-    rows_of_delays = [] if given is None else zip(signals.outputs, given.tolist(), strict=True)
+    rows_of_delays = (
+        [] if given_delays is None else zip(signals.outputs, given_delays.tolist(), strict=True)
+    )
     return OrderTables(tables=tables, delays={name: tuple(row) for name, row in rows_of_delays})
 
 

@@ -132,8 +132,10 @@ class OrderTable:
             if criterion == "validation":
                 msg += "; give select_orders the validation data"
             raise InputError(msg)
-        found = self.validation_loss if criterion == "validation" else getattr(self, criterion)
-        return np.asarray(found)
+        criterion_values = (
+            self.validation_loss if criterion == "validation" else getattr(self, criterion)
+        )
+        return np.asarray(criterion_values)
 
     def best(self, criterion: Criterion | None = None) -> ArxOrders:
         """Return the orders that a criterion chooses.
@@ -185,7 +187,8 @@ class OrderTable:
     def _reasons(self) -> Iterator[str]:
         i = self.chosen()
         if self.validation_loss is None:
-            yield f"chosen: {_named(self.orders(i))}, by lowest MDL (log N for each parameter)"
+            orders = _orders_text(self.orders(i))
+            yield f"chosen: {orders}, by lowest MDL (log N for each parameter)"
             yield "validation data give a better choice: give select_orders validation=…"
         else:
             yield from self._about_validation(i)
@@ -194,13 +197,13 @@ class OrderTable:
     def _about_validation(self, i: int) -> Iterator[str]:
         lowest, d = self._lowest("validation"), self.parameters
         excess, std = self._excess()
-        loss, best = self.values("validation"), _named(self.orders(lowest))
+        loss, best = self.values("validation"), _orders_text(self.orders(lowest))
         yield f"lowest loss on the validation data: {best}, {loss[lowest]:.5g}"
         if i == lowest:
             yield "chosen: this structure, as no simpler structure is within one standard error"
         else:
             yield (
-                f"chosen: {_named(self.orders(i))}, {plural(d[i], 'parameter')} instead of "
+                f"chosen: {_orders_text(self.orders(i))}, {plural(d[i], 'parameter')} instead of "
                 f"{d[lowest]}; its loss is higher by {digits(excess[i], 2)} ± {digits(std[i], 2)}, "
                 "within the effect of chance"
             )
@@ -209,7 +212,8 @@ class OrderTable:
             k = int(fewer[np.argmin(loss[fewer])])
             off = excess[k] / max(std[k], np.finfo(np.float64).tiny)
             yield (
-                f"fewer parameters are not enough: {_named(self.orders(k))} is {off:.1f} standard "
+                f"fewer parameters are not enough: {_orders_text(self.orders(k))} is {off:.1f} "
+                "standard "
                 "errors above the lowest loss"
             )
 
@@ -279,11 +283,11 @@ def order_table(
     orders, losses, errors = [], [], []
     for n in nas:
         for k in nks:
-            chosen = _columns(int(n), int(k), int(nbs[-1]), int(nas[-1]), lags, nu)
-            found = list(_losses(R, R_v, chosen, int(n), nu))
+            columns = _columns(int(n), int(k), int(nbs[-1]), int(nas[-1]), lags, nu)
+            loss_pairs = list(_losses(R, R_v, columns, int(n), nu))
             orders += [(n, m, k) for m in nbs]
-            losses += [found[m - 1][0] for m in nbs]
-            errors += [found[m - 1][1] for m in nbs]
+            losses += [loss_pairs[m - 1][0] for m in nbs]
+            errors += [loss_pairs[m - 1][1] for m in nbs]
     table, squared = np.array(orders, dtype=np.int_), np.array(errors)
     # Among structures without errors, rounding errors would choose.
     least = rounding_std(*(y for _, y in data)) ** 2
@@ -302,7 +306,7 @@ def order_table(
     )
 
 
-def asked_orders(**orders: Iterable[int]) -> list[Integers]:
+def orders_to_try(**orders: Iterable[int]) -> list[Integers]:
     """Return the values of na, nb and nk to try, each in rising order."""
     wanted = [np.unique(several(name, values)) for name, values in orders.items()]
     for name, values, lowest in zip(orders, wanted, (0, 1, 0), strict=True):
@@ -322,14 +326,14 @@ def require_same_rate(Ts: float, validation_Ts: float) -> None:
 
 def _regressors(data: Parts, na: int, lags: range) -> tuple[list[Array], int, float]:
     """Return blocks of rows [-y, all inputs lag by lag, y], the number of rows, and var(y)."""
-    blocks, known = [], []
+    blocks, outputs = [], []
     for u, y in data:
         inputs = np.stack([past(x, lags) for x in u.T], axis=-1).reshape(y.size, -1)
         block = np.hstack([-past(y, range(1, na + 1)), inputs, y[:, None]])
-        whole = block[complete(block)]
-        known.append(whole[:, -1])
-        blocks += list(in_blocks(whole, _BLOCK_ROWS))
-    y = np.concatenate(known)
+        rows = block[complete(block)]
+        outputs.append(rows[:, -1])
+        blocks += list(in_blocks(rows, _BLOCK_ROWS))
+    y = np.concatenate(outputs)
     return blocks, y.size, float(np.var(y)) if y.size else float("nan")
 
 
@@ -347,26 +351,26 @@ def _columns(na: int, nk: int, nb: int, most: int, lags: range, nu: int) -> Inte
 
 
 def _losses(
-    R: Array, R_v: Array, chosen: Integers, na: int, nu: int
+    R: Array, R_v: Array, columns: Integers, na: int, nu: int
 ) -> Iterator[tuple[float, Array]]:
     """Yield the sum of squared errors and that of each validation batch, for nb = 1, 2, …."""
-    M = R[:, chosen]
+    M = R[:, columns]
     scale = column_norms(M)  # so that the test for linear dependence does not depend on units
     scale[scale == 0] = 1.0
-    T = qr(M / scale, mode="r", check_finite=False)[0][: chosen.size]
+    T = qr(M / scale, mode="r", check_finite=False)[0][: columns.size]
     y = T[:, -1] * scale[-1]
-    rest = np.cumsum(y[::-1] ** 2)[::-1]
+    sse = np.cumsum(y[::-1] ** 2)[::-1]
     determined = np.abs(np.diag(T))[:-1] > _MIN_INDEPENDENT_SHARE
     K = R_v.shape[0]
-    V = np.asfortranarray(R_v.reshape(-1, R.shape[1])[:, chosen])
-    for d in range(na + nu, chosen.size, nu):
+    V = np.asfortranarray(R_v.reshape(-1, R.shape[1])[:, columns])
+    for d in range(na + nu, columns.size, nu):
         if not determined[:d].all():
             yield float("nan"), np.full(K, np.nan)
             continue
         theta = dtrtrs(T[:d, :d], y[:d])[0] / scale[:d]
         e = (V[:, -1] - V[:, :d] @ theta).reshape(K, R.shape[1])
-        yield float(rest[d]), np.einsum("ij,ij->i", e, e)
+        yield float(sse[d]), np.einsum("ij,ij->i", e, e)
 
 
-def _named(orders: ArxOrders) -> str:
+def _orders_text(orders: ArxOrders) -> str:
     return f"na={orders.na}, nb={orders.nb}, nk={orders.nk}"

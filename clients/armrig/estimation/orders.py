@@ -50,39 +50,39 @@ def by_output(name: str, value: Any, data: Signals | Dataset, *, least: int) -> 
     """Return the orders (ny,) of an argument such as nc."""
     outputs = data.signals().outputs
     if isinstance(value, Mapping):
-        return _named(name, value, list(outputs), least)
-    given, ny = np.asarray(value, dtype=object), len(outputs)
-    if given.shape not in ((), (ny,)):
+        return _orders_of_keys(name, value, list(outputs), least)
+    orders, ny = np.asarray(value, dtype=object), len(outputs)
+    if orders.shape not in ((), (ny,)):
         raise InputError(f"{name} needs {plural(ny, 'order')}, one for each output, got {value!r}")
-    return _checked(name, np.broadcast_to(given, (ny,)), least)
+    return _as_orders(name, np.broadcast_to(orders, (ny,)), least)
 
 
-def _matrix(name: str, value: Any, keys: list[list[Any]], least: int, what: str) -> Integers:
+def _matrix(name: str, value: Any, keys: list[list[Any]], least: int, layout: str) -> Integers:
     shape = len(keys), len(keys[0])
     if isinstance(value, Mapping):
         flat = [key for row in keys for key in row]
-        return _named(name, value, flat, least).reshape(shape)
+        return _orders_of_keys(name, value, flat, least).reshape(shape)
     try:
-        given = np.array(value.tolist() if isinstance(value, np.ndarray) else value, dtype=object)
+        orders = np.array(value.tolist() if isinstance(value, np.ndarray) else value, dtype=object)
     except ValueError:
-        given = np.zeros(0, dtype=object)
-    if given.shape not in ((), shape):
-        got = " × ".join(map(str, given.shape)) or repr(value)
-        raise InputError(f"{name} is {shape[0]} × {shape[1]}, got {got}: {what}")
-    return _checked(name, np.broadcast_to(given, shape), least)
+        orders = np.zeros(0, dtype=object)
+    if orders.shape not in ((), shape):
+        got = " × ".join(map(str, orders.shape)) or repr(value)
+        raise InputError(f"{name} is {shape[0]} × {shape[1]}, got {got}: {layout}")
+    return _as_orders(name, np.broadcast_to(orders, shape), least)
 
 
-def _named(name: str, value: Mapping[Any, Any], keys: list[Any], least: int) -> Integers:
+def _orders_of_keys(name: str, value: Mapping[Any, Any], keys: list[Any], least: int) -> Integers:
     """Return the orders of all keys; in nk, a channel without a key has the delay 1."""
     unknown = [key for key in value if key not in keys]
     missing = [key for key in keys if key not in value] if name != "nk" else []
     if unknown or missing:
-        said = f"there is no {unknown[0]!r}" if unknown else f"{missing[0]!r} is not named"
-        raise InputError(f"{name}: {said}; name each of {', '.join(map(repr, keys))}")
-    return _checked(name, np.array([value.get(key, 1) for key in keys], dtype=object), least)
+        fault = f"there is no {unknown[0]!r}" if unknown else f"{missing[0]!r} is not named"
+        raise InputError(f"{name}: {fault}; name each of {', '.join(map(repr, keys))}")
+    return _as_orders(name, np.array([value.get(key, 1) for key in keys], dtype=object), least)
 
 
-def _checked(name: str, values: Any, least: int) -> Integers:
+def _as_orders(name: str, values: Any, least: int) -> Integers:
     for value in values.ravel().tolist():
         require_integers(MAX_ORDER, **{name: (value, least)})
     return np.asarray(values, dtype=np.int_)
@@ -98,9 +98,9 @@ def integrating_outputs(
     names = [integrator] if isinstance(integrator, str) else integrator
     unknown = [name for name in names if name not in outputs] if isinstance(names, Iterable) else []
     if unknown or not isinstance(names, Iterable):
-        what = f"; there is no output {unknown[0]!r}" if unknown else ""
+        hint = f"; there is no output {unknown[0]!r}" if unknown else ""
         raise InputError(
-            f"integrator={integrator!r} must be True or False, or names of outputs{what}; there "
+            f"integrator={integrator!r} must be True or False, or names of outputs{hint}; there "
             f"are {', '.join(outputs)}"
         )
     return tuple(name in names for name in outputs)
@@ -116,7 +116,7 @@ def _short(value: Integers) -> str:
     return str(value.flat[0]) if same else str(value.tolist()).replace(" ", "")
 
 
-def checked_orders(
+def order_arrays(
     data: Dataset | Signals,
     name: str,
     orders: Mapping[str, Any],
@@ -124,32 +124,32 @@ def checked_orders(
     shared: Shared,
 ) -> dict[str, Integers]:
     """Return the orders as arrays, in the order in which the caller gave them."""
-    signals, given = data.signals(), {}
+    signals, arrays = data.signals(), {}
     for order, value in orders.items():
         least = int(order == "nb" and signals.nu == 1)
         by = by_output if order in _OF_OUTPUTS else by_channel
-        given[order] = by(order, value, data, least=least)
-    for output, nb in zip(signals.outputs, given["nb"], strict=True):
+        arrays[order] = by(order, value, data, least=least)
+    for output, nb in zip(signals.outputs, arrays["nb"], strict=True):
         if not nb.any():
             raise InputError(f"nb is 0 for all inputs of {output}; leave this output out")
     counted = "nf" if "nf" in STRUCTURES[name].orders else "na"
     if shared:
-        if not (given[counted] == given[counted].flat[0]).all():
+        if not (arrays[counted] == arrays[counted].flat[0]).all():
             raise InputError(
-                f"{counted}={given[counted].tolist()}: outputs that share a denominator need one "
+                f"{counted}={arrays[counted].tolist()}: outputs that share a denominator need one "
                 f"order {counted}"
             )
     elif any(
-        (n < 1).any() and inside for n, inside in zip(given[counted], integrators, strict=True)
+        (n < 1).any() and inside for n, inside in zip(arrays[counted], integrators, strict=True)
     ):
         raise InputError(
             f"{counted} must be at least 1 with an integrator, because it also counts the root at 1"
         )
-    return given
+    return arrays
 
 
 def structures(
-    given: dict[str, Integers],
+    arrays: dict[str, Integers],
     name: str,
     integrators: tuple[bool, ...],
     *,
@@ -157,10 +157,10 @@ def structures(
     shared: bool,
 ) -> list[Structure]:
     """Return the structure of each output."""
-    ny, nu = given["nb"].shape
+    ny, nu = arrays["nb"].shape
     none = np.zeros(ny, dtype=np.int_)
-    na, nc, nd = (given.get(order, none) for order in _OF_OUTPUTS)
-    nf = given.get("nf", np.zeros((ny, nu), dtype=np.int_))
+    na, nc, nd = (arrays.get(order, none) for order in _OF_OUTPUTS)
+    nf = arrays.get("nf", np.zeros((ny, nu), dtype=np.int_))
     letter: Literal["a", "f"] = "f" if "nf" in STRUCTURES[name].orders else "a"
     rows = []
     for i, integrates in enumerate(integrators):
@@ -168,14 +168,14 @@ def structures(
         rows.append(
             Structure(
                 na=int(na[i]) - inside["a"],
-                nb=tuple(given["nb"][i].tolist()),
+                nb=tuple(arrays["nb"][i].tolist()),
                 nc=int(nc[i]),
                 nd=int(nd[i]),
                 nf=tuple(
                     n - inside["f"] if b else 0
-                    for n, b in zip(nf[i].tolist(), given["nb"][i].tolist(), strict=True)
+                    for n, b in zip(nf[i].tolist(), arrays["nb"][i].tolist(), strict=True)
                 ),
-                nk=tuple(given["nk"][i].tolist()),
+                nk=tuple(arrays["nk"][i].tolist()),
                 integrator=letter if integrates else "",
                 shared=shared,
                 offset=offset,

@@ -17,10 +17,10 @@ F = TypeVar("F", bound=Callable[..., Fit])
 
 def _with_options(f: F) -> F:
     """Name the options of the structure in the signature of f, for help and error messages."""
-    called, known = signature(f), signature(estimated).parameters
-    own = [p for p in called.parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
-    options = [known[name] for name in STRUCTURES[f.__name__].takes]
-    f.__signature__ = called.replace(parameters=[*own, *options])  # type: ignore[attr-defined]
+    called, parameters = signature(f), signature(estimated).parameters
+    arguments = [p for p in called.parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
+    options = [parameters[name] for name in STRUCTURES[f.__name__].takes]
+    f.__signature__ = called.replace(parameters=[*arguments, *options])  # type: ignore[attr-defined]
     return f
 
 

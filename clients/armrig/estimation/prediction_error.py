@@ -31,8 +31,8 @@ from armrig.estimation.fit_warnings import (
 from armrig.estimation.orders import (
     Shared,
     as_text,
-    checked_orders,
     integrating_outputs,
+    order_arrays,
     require_samples,
     structures,
 )
@@ -41,14 +41,14 @@ from armrig.estimation.search import (
     Ends,
     rounding_floor,
     same_minimum,
-    searched_minimum,
-    searched_together,
-    weighted_by,
+    search_minima,
+    search_together,
+    with_noise_weights,
 )
 from armrig.estimation.stability import instability, with_stability_warning, with_stable_poles
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
-from armrig.models.innovations import Errors, prepared
+from armrig.models.innovations import Errors, prepare
 from armrig.models.structure import FreeResponse, Structure, offset_from_ramp
 from armrig.models.structure_table import Initial, Starts
 from armrig.numerics.checks import require_known
@@ -88,7 +88,7 @@ class _Task:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Estimated:
+class GroupEstimate:
     """Estimate of the outputs that share a polynomial, or of one output."""
 
     outputs: tuple[int, ...]
@@ -152,57 +152,69 @@ def estimated(
             f'offset=True needs initial="estimate", got {initial!r}: a rig at rest has no offset'
         )
     integrators = integrating_outputs(integrator, data)
-    given = checked_orders(data, name, orders, integrators, shared)
-    rows = structures(given, name, integrators, offset=offset, shared=bool(shared))
+    arrays = order_arrays(data, name, orders, integrators, shared)
+    rows = structures(arrays, name, integrators, offset=offset, shared=bool(shared))
     if isinstance(data, Signals):
         require_informative(data)
     else:
         require_moving_output(data)
     if isinstance(data, Dataset) and constant_input(data) and (rows[0].trend or not data.u.any()):
         raise InputError(CONSTANT_INPUT)
-    text, thorough = as_text(**given), starts == "many"
+    text, thorough = as_text(**arrays), starts == "many"
     task = _Task(data=data, orders=text, initial=initial, stable=stable, thorough=thorough)
     groups = [tuple(range(len(rows)))] if shared else [(i,) for i in range(len(rows))]
-    found = [_chosen(task, [rows[i] for i in group], group) for group in groups]
-    estimates, W = outputs_of(data, found)
+    group_estimates = [_estimate_group(task, [rows[i] for i in group], group) for group in groups]
+    estimates, W = outputs_of(data, group_estimates)
     white = all(n.white for n in rows)
     fields: dict[str, Any] = {
         "structure": name,
         "score": "exogenous" if white else "correlated",
-        "converged": all(one.ends[0][1].converged for one in found),
+        "converged": all(group_estimate.ends[0][1].converged for group_estimate in group_estimates),
     }
     if isinstance(data, Dataset):
-        return with_stability_warning(fit_of_one(data, found[0], estimates[0], W, **fields))
+        return with_stability_warning(
+            fit_of_one(data, group_estimates[0], estimates[0], W, **fields)
+        )
     fields |= {"specification": text, "offset": offset, "shared": bool(shared)}
-    notes, starts_ = [note for one in found for note in one.findings], list[Start]()
-    for one in found:
-        of, best = ", ".join(data.outputs[i] for i in one.outputs), one.ends[0][1]
-        starts_ += one.starts(f"{of}: ")
-        notes += [] if best.converged else [not_converged(best.iterations, f" of {of}")]
+    notes, starts_ = (
+        [note for group_estimate in group_estimates for note in group_estimate.findings],
+        list[Start](),
+    )
+    for group_estimate in group_estimates:
+        names, best = (
+            ", ".join(data.outputs[i] for i in group_estimate.outputs),
+            group_estimate.ends[0][1],
+        )
+        starts_ += group_estimate.starts(f"{names}: ")
+        notes += [] if best.converged else [not_converged(best.iterations, f" of {names}")]
     fit = fit_of_outputs(data, estimates, W, starts=tuple(starts_), **fields)
-    fit = with_curvature(fit, found, estimates, W)
+    fit = with_curvature(fit, group_estimates, estimates, W)
     return replace(fit, findings=(*notes, *instability(fit.form), *fit.findings))
 
 
-def _chosen(task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]) -> Estimated:
+def _estimate_group(
+    task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]
+) -> GroupEstimate:
     """Return the estimate; with initial="auto" an F-test chooses the treatment of the state."""
-    free, at_rest = ([replace(n, at_rest=rest) for n in rows] for rest in (False, True))
+    free, at_rest = ([replace(n, at_rest=resting) for n in rows] for resting in (False, True))
     if task.initial != "auto":
-        return _searched(task, at_rest if task.initial == "zero" else free, outputs)
-    found, simpler = _searched(task, free, outputs), _searched(task, at_rest, outputs)
-    return found if _state_matters(found, simpler) else simpler
+        return _search_group(task, at_rest if task.initial == "zero" else free, outputs)
+    with_state, simpler = _search_group(task, free, outputs), _search_group(task, at_rest, outputs)
+    return with_state if _state_matters(with_state, simpler) else simpler
 
 
-def _searched(task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]) -> Estimated:
+def _search_group(
+    task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]
+) -> GroupEstimate:
     data, orders = task.data, task.orders
     problem = _problem(data, rows, outputs)
     measured = sum(int(np.isfinite(_output(data, i)).sum()) for i in outputs)
     require_samples(orders, needed=_size(problem) + 1 + nuisance(problem), got=measured)
     if len(rows) == 1:
         part = _part(data, rows, outputs)
-        ends = searched_minimum(problem, part, thorough=task.thorough)
+        ends = search_minima(problem, part, thorough=task.thorough)
     else:
-        problem, ends = searched_together(problem)
+        problem, ends = search_together(problem)
     # A search also counts as converged if its cost consists only of rounding errors.
     floor = rounding_floor(problem)
     ends = [(start, replace(o, converged=o.converged or o.cost <= floor)) for start, o in ends]
@@ -211,15 +223,15 @@ def _searched(task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]) 
     d = problem.linear_size
     if solution.rank < d:
         no_a = d == sum(sum(n.nb) for n in rows)
-        what = "numerator coefficients" if no_a else "coefficients of A and B"
+        coefficients = "numerator coefficients" if no_a else "coefficients of A and B"
         raise InputError(
-            f"{orders}: u determines only {solution.rank} of {d} {what}; "
+            f"{orders}: u determines only {solution.rank} of {d} {coefficients}; "
             f"lower {'nb' if no_a else 'the orders'} or excite with a richer input"
         )
     notes: tuple[Finding, ...] = ()
     if task.stable:
         theta, solution, notes = with_stable_poles(problem, solution, theta)
-    return Estimated(
+    return GroupEstimate(
         outputs=outputs, problem=problem, solution=solution, theta=theta, ends=ends, findings=notes
     )
 
@@ -229,13 +241,15 @@ def _problem(
 ) -> PolynomialProblem:
     """Return the problem; the variances of several outputs are their first weights."""
     experiments = tuple(
-        tuple(prepared(part.u, _output(part, i), n) for i, n in zip(outputs, rows, strict=True))
+        tuple(prepare(part.u, _output(part, i), n) for i, n in zip(outputs, rows, strict=True))
         for part in data.experiments()
     )
     problem = PolynomialProblem(rows=tuple(rows), experiments=experiments)
     if len(rows) == 1:
         return problem
-    return weighted_by(problem, np.diag([float(np.nanvar(_output(data, i))) for i in outputs]))
+    return with_noise_weights(
+        problem, np.diag([float(np.nanvar(_output(data, i))) for i in outputs])
+    )
 
 
 def _output(data: Experiments, i: int) -> Array:
@@ -270,46 +284,46 @@ def _size(problem: PolynomialProblem) -> int:
 def nuisance(problem: PolynomialProblem) -> int:
     """Return the number of samples that are needed to determine the unknown past."""
     return sum(
-        sum(n.counts) + n.trend + (0 if n.white else n.forgotten(x.begin))
-        for of in problem.experiments
-        for n, x in zip(problem.rows, of, strict=True)
+        sum(n.counts) + n.trend + (0 if n.white else n.past_pulse_count(x.begin))
+        for experiment in problem.experiments
+        for n, x in zip(problem.rows, experiment, strict=True)
     )
 
 
-def _state_matters(free: Estimated, at_rest: Estimated) -> bool:
+def _state_matters(free: GroupEstimate, at_rest: GroupEstimate) -> bool:
     """Return whether the initial state is significant, by an F-test."""
     from scipy.special import fdtrc
 
-    rest = at_rest.problem
-    if len(rest.rows) > 1:
-        rest = replace(rest, weights=free.problem.weights)
-    e, e_rest = free.solution.e, rest.solve(at_rest.theta).e
+    rest_problem = at_rest.problem
+    if len(rest_problem.rows) > 1:
+        rest_problem = replace(rest_problem, weights=free.problem.weights)
+    e, e_rest = free.solution.e, rest_problem.solve(at_rest.theta).e
     sse, sse_rest = float(e @ e), float(e_rest @ e_rest)
-    degrees, fewer = (_degrees(one) for one in (free, at_rest))
+    degrees, fewer = (_degrees(estimate) for estimate in (free, at_rest))
     p = fewer - degrees
     if p <= 0 or sse <= 0:
         return True
     return bool(fdtrc(p, degrees, max(sse_rest - sse, 0.0) / p / (sse / degrees)) < AUTO_LEVEL)
 
 
-def _degrees(one: Estimated) -> int:
+def _degrees(group: GroupEstimate) -> int:
     """Return the degrees of freedom of the errors."""
-    return one.problem.N - one.parameters - sum(past.rank for past in one.solution.past)
+    return group.problem.N - group.parameters - sum(past.rank for past in group.solution.past)
 
 
 def fit_of_one(
     data: Dataset,
-    one: Estimated,
+    group: GroupEstimate,
     estimate: EstimatedOutput,
     W: Array,
     in_s: ContinuousProblem | None = None,
     **fields: Any,
 ) -> Fit:
     """Return the model of one input and one output; `in_s` is the problem of a search in s."""
-    problem, solution = one.problem, one.solution
-    floor, n, best = rounding_floor(problem), problem.rows[0], one.ends[0][1]
-    p, starts = problem.named(solution.ab, one.theta), tuple(one.starts())
-    agreed = same_minimum(problem, best.cost, one.ends[-1][1].cost)
+    problem, solution = group.problem, group.solution
+    floor, n, best = rounding_floor(problem), problem.rows[0], group.ends[0][1]
+    p, starts = problem.named(solution.ab, group.theta), tuple(group.starts())
+    agreed = same_minimum(problem, best.cost, group.ends[-1][1].cost)
     free = [
         free_response(n, p, part, s)
         for part, (s,) in zip(data.experiments(), solution.parts, strict=True)
@@ -325,7 +339,7 @@ def fit_of_one(
         free=tuple(free),
         **fields,
     )
-    fit = with_curvature(fit, [one], [estimate], W, in_s)
+    fit = with_curvature(fit, [group], [estimate], W, in_s)
     residuals = [r.e for r in estimate.residuals]
     way_out = "" if n.trend else "estimate it, too (option offset)"
     findings = (
@@ -333,32 +347,32 @@ def fit_of_one(
         *parameter_warnings(W, p["C"]),
         *fit.findings,
         *data_faults(data, residuals, way_out=way_out),
-        *one.findings,
+        *group.findings,
     )
     return replace(fit, findings=findings)
 
 
 def with_curvature(
     fit: Fit,
-    found: Sequence[Estimated],
+    groups: Sequence[GroupEstimate],
     estimates: Sequence[EstimatedOutput],
     W: Array,
     in_s: ContinuousProblem | None = None,
 ) -> Fit:
     """Return the fit with the largest curvature of a loss, and a warning if it is large."""
-    back = np.linalg.pinv(np.vstack([one.J for one in estimates]))
+    back = np.linalg.pinv(np.vstack([group.J for group in estimates]))
     robust = back @ fit.covariance_robust @ back.T
     worst, begin = 0.0, 0
-    for one in found:
-        problem, best, e = in_s or one.problem, one.ends[0][1], one.solution.e
-        own = np.arange(begin + one.problem.linear_size, begin + one.parameters)
-        begin += one.parameters
-        if best.cost <= rounding_floor(one.problem):
+    for group in groups:
+        problem, best, e = in_s or group.problem, group.ends[0][1], group.solution.e
+        indices = np.arange(begin + group.problem.linear_size, begin + group.parameters)
+        begin += group.parameters
+        if best.cost <= rounding_floor(group.problem):
             continue
-        at, degrees = one.theta if in_s is None else best.theta, max(_degrees(one), 1)
+        at, degrees = group.theta if in_s is None else best.theta, max(_degrees(group), 1)
         # In data with gaps the search is over A, too, which is linear.
-        followers = slice(0, one.problem.slice_of("a", 0).stop if in_s is None else 0)
-        kept = np.delete(own, followers)
+        followers = slice(0, group.problem.slice_of("a", 0).stop if in_s is None else 0)
+        kept = np.delete(indices, followers)
 
         def cost(theta: Array, problem: Any = problem) -> float:
             return float(problem.cost(theta)) if problem.circle.admits(theta) else np.inf
@@ -366,7 +380,7 @@ def with_curvature(
         curved = curvature(
             cost,
             at,
-            float(e @ e) / degrees * W[own] @ W[own].T,
+            float(e @ e) / degrees * W[indices] @ W[indices].T,
             cost(at) / degrees,
             used=robust[np.ix_(kept, kept)] if fit.trusts_robust else None,
             followers=followers,
@@ -388,14 +402,14 @@ def with_integrator(n: Structure) -> Array:
     of_inputs = {j: k for k, group in enumerate(n.groups, 4) for j in group}
     blocks = [(k, "abcd"[k]) for k in range(4)]
     blocks += [(of_inputs.get(j, len(sizes)), "f") for j in range(len(n.nb))]
-    whole = []
+    derivatives = []
     for k, letter in blocks:
         block = np.eye(begins[-1])[begins[k] : begins[k + 1]] if k < len(sizes) else none
         if letter == n.integrator:
             size = len(block)
             block = (np.eye(size + 1, size) - np.eye(size + 1, size, k=-1)) @ block
-        whole.append(block)
-    return np.vstack(whole)
+        derivatives.append(block)
+    return np.vstack(derivatives)
 
 
 def free_response(n: Structure, p: dict[str, Any], part: Dataset, errors: Errors) -> FreeResponse:
@@ -414,45 +428,45 @@ def free_response(n: Structure, p: dict[str, Any], part: Dataset, errors: Errors
 
 
 def outputs_of(
-    data: Dataset | Signals, found: Sequence[Estimated], J: Array | None = None
+    data: Dataset | Signals, groups: Sequence[GroupEstimate], J: Array | None = None
 ) -> tuple[list[EstimatedOutput], Array]:
     """Return the polynomials and residuals of each output, and the matrix W of `fit_of_outputs`.
 
     J are the derivatives of the coefficients of a single output, by default of polynomials.
     """
-    bases = [orthonormal(one.solution.Psi) for one in found]
+    bases = [orthonormal(group.solution.Psi) for group in groups]
     W = block_diag(*(basis.W for basis in bases))
-    alone = W.shape[1] == bases[0].rank and len(found[0].outputs) == 1
+    alone = W.shape[1] == bases[0].rank and len(groups[0].outputs) == 1
     ny = data.signals().ny
     outputs: dict[int, EstimatedOutput] = {}
     row = column = 0
-    for one, basis in zip(found, bases, strict=True):
-        problem, solution, k = one.problem, one.solution, len(one.outputs)
-        ends = np.cumsum([k * of[0].y.size for of in problem.experiments])[:-1]
-        shares, own = np.split(basis.Q, ends), np.split(solution.Psi, ends)
+    for group, basis in zip(groups, bases, strict=True):
+        problem, solution, k = group.problem, group.solution, len(group.outputs)
+        ends = np.cumsum([k * experiment[0].y.size for experiment in problem.experiments])[:-1]
+        shares, Psis = np.split(basis.Q, ends), np.split(solution.Psi, ends)
         whitened = [unspread(problem.weights[e], Q) if k > 1 else [Q] for e, Q in enumerate(shares)]
-        for r, (i, n) in enumerate(zip(one.outputs, problem.rows, strict=True)):
+        for r, (i, n) in enumerate(zip(group.outputs, problem.rows, strict=True)):
             residuals = []
             for e, part in enumerate(data.experiments()):
-                given, errors = solution.given[e][r], solution.parts[e][r]
+                equation, errors = solution.given[e][r], solution.parts[e][r]
                 H, Psi = whitened[e][r], None
                 if not alone:
                     H = np.zeros((part.N, W.shape[1]))
                     H[:, column : column + basis.rank] = solution.scales[r] * whitened[e][r]
-                    Psi = own[e]
+                    Psi = Psis[e]
                     if k > 1:
-                        Psi = given.unknown.without(np.hstack([given.X, errors.Psi]))
+                        Psi = equation.unknown.without(np.hstack([equation.X, errors.Psi]))
                 residuals.append(
                     OutputResiduals(
                         e=np.where(problem.experiments[e][r].rows, errors.e, np.nan),
                         y=_output(part, i),
                         H=H,
                         Psi=Psi,
-                        Z=given.unknown.span,
+                        Z=equation.unknown.span,
                     )
                 )
             common = (n.na or sum(n.sizes)) if k > 1 else 0
-            p = problem.named(solution.ab, one.theta, r)
+            p = problem.named(solution.ab, group.theta, r)
             A, F = _with_root(n, p)
             outputs[i] = EstimatedOutput(
                 polynomials={
@@ -465,12 +479,12 @@ def outputs_of(
                     "integrators": bool(n.integrator),
                 },
                 residuals=tuple(residuals),
-                parameters=n.parameters - common + common / k if k > 1 else one.parameters,
+                parameters=n.parameters - common + common / k if k > 1 else group.parameters,
                 J=with_integrator(n) @ np.eye(W.shape[0])[row + problem.columns_of(r)]
                 if J is None
                 else J,
             )
-        row, column = row + one.parameters, column + basis.rank
+        row, column = row + group.parameters, column + basis.rank
     return [outputs[i] for i in range(ny)], W
 
 

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from armrig.estimation.projected_errors import projected_errors
+from armrig.estimation.projected_errors import project_errors
 from armrig.models.innovations import (
     Errors,
     Experiment,
     LinearPart,
-    Unknown,
+    UnknownPast,
     errors,
     regression,
     volume,
@@ -32,8 +32,8 @@ from armrig.numerics.levenberg_marquardt import (
 from armrig.numerics.polynomial import (
     INSIDE_MODULUS,
     Array,
-    drawn_to_edge,
     monic,
+    move_to_edge,
     outward_normals,
     stable,
 )
@@ -42,7 +42,7 @@ _TOLERANCE_WITH_GAPS = 3e-5  # of a search: theta is off by 3e-5 sqrt(N) deviati
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
+class CoefficientLayout:
     """Places of the coefficients of all rows in the linear parameters and in theta."""
 
     letters: tuple[str, ...]
@@ -58,7 +58,7 @@ class Layout:
 
 
 @lru_cache
-def _layout(rows: tuple[Structure, ...], searches_a: bool) -> Layout:
+def _layout(rows: tuple[Structure, ...], searches_a: bool) -> CoefficientLayout:
     letters: list[str] = []
     sizes: list[int] = []
     shared: dict[str, int] = {}
@@ -66,7 +66,7 @@ def _layout(rows: tuple[Structure, ...], searches_a: bool) -> Layout:
     common = rows[0].na if len(rows) > 1 and not searches_a else 0
     begin = common
 
-    def added(letter: str, size: int) -> int:
+    def add_polynomial(letter: str, size: int) -> int:
         if len(rows) > 1 and letter in shared:
             return shared[letter]
         letters.append(letter)
@@ -76,9 +76,13 @@ def _layout(rows: tuple[Structure, ...], searches_a: bool) -> Layout:
         return len(letters) - 1
 
     for n in rows:
-        own = [added("a", n.na)] if searches_a else []
-        own += [added("c", n.nc), added("d", n.nd), *(added("f", size) for size in n.sizes)]
-        polynomials.append(tuple(own))
+        indices = [add_polynomial("a", n.na)] if searches_a else []
+        indices += [
+            add_polynomial("c", n.nc),
+            add_polynomial("d", n.nd),
+            *(add_polynomial("f", size) for size in n.sizes),
+        ]
+        polynomials.append(tuple(indices))
         a = 0 if searches_a else n.na
         if common:
             linear.append(np.r_[:common, begin : begin + sum(n.nb)])
@@ -87,11 +91,13 @@ def _layout(rows: tuple[Structure, ...], searches_a: bool) -> Layout:
             linear.append(np.arange(begin, begin + a + sum(n.nb)))
             begin += a + sum(n.nb)
     slices = [slice(a, b) for a, b in pairwise(np.cumsum([0, *sizes]).tolist())]
-    return Layout(
+    return CoefficientLayout(
         letters=tuple(letters),
         slices=tuple(slices),
         polynomials=tuple(polynomials),
-        searched=tuple(np.concatenate([np.r_[slices[k]] for k in own]) for own in polynomials),
+        searched=tuple(
+            np.concatenate([np.r_[slices[k]] for k in indices]) for indices in polynomials
+        ),
         linear=tuple(linear),
     )
 
@@ -106,7 +112,7 @@ class Solution:
     """Errors of each experiment and row."""
     given: tuple[tuple[LinearPart, ...], ...]
     """Linear equation of each experiment and row."""
-    past: tuple[Unknown, ...]
+    past: tuple[UnknownPast, ...]
     """Basis of the unknown past of each experiment, whitened if there are several rows."""
     scales: tuple[float, ...]
     """Factor of the errors of each row before they are whitened; 1 for one row."""
@@ -165,7 +171,7 @@ class PolynomialProblem:
     """Whitening matrices of each experiment, (N, ny, ny), from `whitening`; empty for one row."""
     combination: Array | None = None
     """Columns (n, m): the linear parameters are a combination of them. None if they are free."""
-    layout: Layout = field(init=False)
+    layout: CoefficientLayout = field(init=False)
     """Places of the coefficients."""
     projects: bool = field(init=False)
     """True if `projected_errors` apply: one experiment of one input and one output, without gaps
@@ -184,12 +190,14 @@ class PolynomialProblem:
     @property
     def gaps(self) -> bool:
         """True if an output of a noise model has gaps."""
-        return any(x.gaps for of in self.experiments for x in of)
+        return any(x.gaps for experiment in self.experiments for x in experiment)
 
     @property
     def N(self) -> int:
         """Number of errors of all experiments and rows."""
-        return sum(int(np.count_nonzero(x.rows)) for of in self.experiments for x in of)
+        return sum(
+            int(np.count_nonzero(x.rows)) for experiment in self.experiments for x in experiment
+        )
 
     @property
     def size(self) -> int:
@@ -231,32 +239,32 @@ class PolynomialProblem:
     def named(self, ab: Array, theta: Array, i: int = 0) -> dict[str, Any]:
         """Return the polynomials of row i by name, B and F of each input, without the root 1."""
         n, layout = self.rows[i], self.layout
-        found = self._of_row(theta, i)
-        own = ab[layout.linear[i]]
-        b = own[own.size - sum(n.nb) :]
-        if "A" not in found:
-            found["A"] = monic(own[: n.na])
+        polynomials = self._of_row(theta, i)
+        coefficients = ab[layout.linear[i]]
+        b = coefficients[coefficients.size - sum(n.nb) :]
+        if "A" not in polynomials:
+            polynomials["A"] = monic(coefficients[: n.na])
         ends = np.cumsum(n.nb)[:-1]
-        found["B"] = [
+        polynomials["B"] = [
             np.append(np.zeros(k), p) for k, p in zip(n.nk, np.split(b, ends), strict=True)
         ]
-        return found
+        return polynomials
 
     def _of_row(self, theta: Array, i: int) -> dict[str, Any]:
         """Return the searched polynomials of row i by name."""
         n, layout = self.rows[i], self.layout
-        own = [monic(theta[layout.slices[k]]) for k in layout.polynomials[i]]
-        found: dict[str, Any] = {"A": own.pop(0)} if layout.letters[0] == "a" else {}
-        C, D, *of_groups = own
+        searched = [monic(theta[layout.slices[k]]) for k in layout.polynomials[i]]
+        by_name: dict[str, Any] = {"A": searched.pop(0)} if layout.letters[0] == "a" else {}
+        C, D, *of_groups = searched
         F = [np.ones(1)] * len(n.nb)
         for group, p in zip(n.groups, of_groups, strict=True):
             for j in group:
                 F[j] = p
-        return found | {"C": C, "D": D, "F": F}
+        return by_name | {"C": C, "D": D, "F": F}
 
     def solve(self, theta: Array, ab: Array | None = None) -> Solution:
         """Return the least-squares solution for A and B, if not given, and the unknown past."""
-        return self._solved(theta, self._equations(theta, innovations=True), ab=ab)
+        return self._solve(theta, self._equations(theta, innovations=True), ab=ab)
 
     def linearise(self, theta: Array) -> tuple[Array, Array]:
         """Return e and J, maybe times one orthogonal matrix, scaled so that |e|² is the cost."""
@@ -266,12 +274,12 @@ class PolynomialProblem:
     def solve_scaled(self, theta: Array) -> tuple[Solution, float]:
         """Return the solution at theta, and the scale of its errors and derivatives in the cost."""
         equations = self._equations(theta)
-        return self._solved(theta, equations), equations.scale
+        return self._solve(theta, equations), equations.scale
 
     def cost(self, theta: Array) -> float:
         """Return the sum of squared errors at theta, scaled as the class describes."""
-        if (found := self._projected(theta)) is not None:
-            return float(found[0][0]) ** 2
+        if (projection := self._project(theta)) is not None:
+            return float(projection[0][0]) ** 2
         equations = self._equations(theta)
         basis, _, y = equations.projected(self.combination)
         e = basis.without(y)
@@ -279,73 +287,85 @@ class PolynomialProblem:
 
     def _linearise_lazily(self, theta: Array) -> tuple[Array, Jacobian]:
         """Return e and J, or e and a function that computes J."""
-        if (found := self._projected(theta)) is not None:
-            return found
+        if (projection := self._project(theta)) is not None:
+            return projection
         equations = self._equations(theta)
         basis, _, y = equations.projected(self.combination)
         scale = equations.scale
-        return scale * basis.without(y), lambda: scale * self._solved(theta, equations).J
+        return scale * basis.without(y), lambda: scale * self._solve(theta, equations).J
 
-    def _projected(self, theta: Array) -> tuple[Array, Jacobian] | None:
+    def _project(self, theta: Array) -> tuple[Array, Jacobian] | None:
         if not self.projects:
             return None
         C, D, F = self.polynomials(theta)
-        return projected_errors(self.experiments[0][0], self.rows[0], C=C, D=D, F=F)
+        return project_errors(self.experiments[0][0], self.rows[0], C=C, D=D, F=F)
 
-    def _equations(self, theta: Array, *, innovations: bool = False) -> _Equations:
-        known = [self._of_row(theta, i) for i in range(len(self.rows))]
+    def _equations(self, theta: Array, *, innovations: bool = False) -> _ErrorEquations:
+        polynomials = [self._of_row(theta, i) for i in range(len(self.rows))]
         innovations |= len(self.rows) > 1  # the weights are those of the measured outputs
-        given = [
+        equations = [
             [
                 regression(x, n, **p, innovations=innovations)
-                for x, n, p in zip(of, self.rows, known, strict=True)
+                for x, n, p in zip(experiment, self.rows, polynomials, strict=True)
             ]
-            for of in self.experiments
+            for experiment in self.experiments
         ]
-        logs, by_theta = self._log_scales(given, [p["C"] for p in known])
+        logs, by_theta = self._log_scales(equations, [p["C"] for p in polynomials])
         if len(self.rows) == 1:
-            joined = [of[0] for of in given]
+            joined = [experiment[0] for experiment in equations]
             scale = float(np.exp(logs[0])) if logs[0] else 1.0
-            return _Equations(
-                given=given, joined=joined, volumes=by_theta, scales=[1.0], scale=scale
+            return _ErrorEquations(
+                given=equations, joined=joined, volumes=by_theta, scales=[1.0], scale=scale
             )
         scales = np.exp(logs).tolist()
-        joined = [self._joined(of, G, scales) for of, G in zip(given, self.weights, strict=True)]
-        return _Equations(given=given, joined=joined, volumes=by_theta, scales=scales, scale=1.0)
+        joined = [
+            self._join(experiment, G, scales)
+            for experiment, G in zip(equations, self.weights, strict=True)
+        ]
+        return _ErrorEquations(
+            given=equations, joined=joined, volumes=by_theta, scales=scales, scale=1.0
+        )
 
     def _log_scales(
-        self, given: list[list[LinearPart]], C: list[Array]
+        self, equations: list[list[LinearPart]], C: list[Array]
     ) -> tuple[list[float], list[Array]]:
         """Return half the mean log variance of e of each row, and derivatives of its part by c."""
         logs, by_c = [], []
         for i, n in enumerate(self.rows):
-            volumes = [volume(of[i], n, C[i]) for of in self.experiments[1:] if n.nc]
+            volumes = [
+                volume(experiment[i], n, C[i]) for experiment in self.experiments[1:] if n.nc
+            ]
             log = sum(v for v, _ in volumes)
-            log += sum(of[i].log_scale for of in given)
-            errors = self._errors(i, given)
+            log += sum(experiment[i].log_scale for experiment in equations)
+            errors = self._errors(i, equations)
             logs.append(log / (2 * errors))
             by_c.append(sum((by for _, by in volumes), np.zeros(n.nc)) / (2 * errors))
         return logs, by_c
 
-    def _errors(self, i: int, given: Sequence[Sequence[LinearPart]]) -> int:
+    def _errors(self, i: int, equations: Sequence[Sequence[LinearPart]]) -> int:
         """Return the number of errors of row i minus the number of pulses z."""
-        errors = sum(int(np.count_nonzero(of[i].rows)) for of in self.experiments)
-        return max(errors - sum(of[i].unknown.pulses for of in given), 1)
+        errors = sum(int(np.count_nonzero(experiment[i].rows)) for experiment in self.experiments)
+        return max(errors - sum(experiment[i].unknown.pulses for experiment in equations), 1)
 
-    def _joined(self, of: list[LinearPart], G: Array, scales: list[float]) -> LinearPart:
+    def _join(self, equations: list[LinearPart], G: Array, scales: list[float]) -> LinearPart:
         """Return one whitened equation for the errors of all rows."""
         linear = self.layout.linear
         d = self.linear_size
-        blocks, spans = [], [scale * g.unknown.span for g, scale in zip(of, scales, strict=True)]
-        for g, scale, columns in zip(of, scales, linear, strict=True):
+        blocks, spans = (
+            [],
+            [scale * g.unknown.span for g, scale in zip(equations, scales, strict=True)],
+        )
+        for g, scale, columns in zip(equations, scales, linear, strict=True):
             block = np.zeros((g.y.size, d + 1))
             block[:, columns], block[:, d] = scale * g.X, scale * g.y
             blocks.append(block)
-        whole = spread(G, blocks)
-        past = Unknown(basis=orthonormal(spread_apart(G, spans)), pulses=0, N=whole.shape[0])
-        return LinearPart(X=whole[:, :-1], y=whole[:, -1], unknown=past)
+        Xy = spread(G, blocks)
+        past = UnknownPast(basis=orthonormal(spread_apart(G, spans)), pulses=0, N=Xy.shape[0])
+        return LinearPart(X=Xy[:, :-1], y=Xy[:, -1], unknown=past)
 
-    def _solved(self, theta: Array, equations: _Equations, *, ab: Array | None = None) -> Solution:
+    def _solve(
+        self, theta: Array, equations: _ErrorEquations, *, ab: Array | None = None
+    ) -> Solution:
         basis, by_ab, y = equations.projected(self.combination)
         e = basis.without(y) if ab is None else y - by_ab @ ab
         linear = ab = basis.coefficients(y) if ab is None else ab
@@ -356,7 +376,7 @@ class PolynomialProblem:
         return Solution(
             ab=ab,
             parts=tuple(parts),
-            given=tuple(tuple(of) for of in equations.given),
+            given=tuple(tuple(row_equations) for row_equations in equations.given),
             past=tuple(g.unknown for g in equations.joined),
             scales=tuple(equations.scales),
             e=e,
@@ -367,49 +387,59 @@ class PolynomialProblem:
             linear=linear,
         )
 
-    def _parts(self, theta: Array, equations: _Equations, ab: Array) -> list[tuple[Errors, ...]]:
+    def _parts(
+        self, theta: Array, equations: _ErrorEquations, ab: Array
+    ) -> list[tuple[Errors, ...]]:
         named = [self.named(ab, theta, i) for i in range(len(self.rows))]
         if len(self.rows) == 1:
             pairs = zip(self.experiments, equations.given, strict=True)
             return [(errors(x, self.rows[0], g, **named[0]),) for (x,), (g,) in pairs]
-        found = []
-        for k, (of, given) in enumerate(zip(self.experiments, equations.given, strict=True)):
+        parts = []
+        for k, (experiment, row_equations) in enumerate(
+            zip(self.experiments, equations.given, strict=True)
+        ):
             joined = equations.joined[k]
             raw = joined.y - joined.X @ ab
-            ends = np.cumsum([g.unknown.rank for g in given])[:-1]
+            ends = np.cumsum([g.unknown.rank for g in row_equations])[:-1]
             spans = np.split(joined.unknown.coefficients(raw), ends)
-            found.append(
+            parts.append(
                 tuple(
                     errors(x, n, g, **p, along=along)
-                    for x, n, g, p, along in zip(of, self.rows, given, named, spans, strict=True)
+                    for x, n, g, p, along in zip(
+                        experiment, self.rows, row_equations, named, spans, strict=True
+                    )
                 )
             )
-        return found
+        return parts
 
-    def _by_theta(self, parts: list[tuple[Errors, ...]], equations: _Equations, size: int) -> Array:
+    def _by_theta(
+        self, parts: list[tuple[Errors, ...]], equations: _ErrorEquations, size: int
+    ) -> Array:
         """Return the derivatives by theta of the prediction, scaled as in the cost."""
         changes = self._scale_changes(parts, equations) if equations.scaled else None
-        found = []
-        for k, of in enumerate(parts):
-            blocks = [p.Psi for p in of]
+        derivatives = []
+        for k, row_errors in enumerate(parts):
+            blocks = [p.Psi for p in row_errors]
             if changes is not None:
                 blocks = [
                     block - np.outer(p.e, change) if change.any() else block
-                    for block, p, change in zip(blocks, of, changes, strict=True)
+                    for block, p, change in zip(blocks, row_errors, changes, strict=True)
                 ]
-            if len(of) > 1:
-                whole = [np.zeros((block.shape[0], size)) for block in blocks]
+            if len(row_errors) > 1:
+                padded = [np.zeros((block.shape[0], size)) for block in blocks]
                 for i, block in enumerate(blocks):
-                    whole[i][:, self.layout.searched[i]] = equations.scales[i] * block
-                blocks = [spread(self.weights[k], whole)]
-            found.append(equations.joined[k].unknown.without(blocks[0]))
-        return found[0] if len(found) == 1 else np.vstack(found)
+                    padded[i][:, self.layout.searched[i]] = equations.scales[i] * block
+                blocks = [spread(self.weights[k], padded)]
+            derivatives.append(equations.joined[k].unknown.without(blocks[0]))
+        return derivatives[0] if len(derivatives) == 1 else np.vstack(derivatives)
 
-    def _scale_changes(self, parts: list[tuple[Errors, ...]], equations: _Equations) -> list[Array]:
+    def _scale_changes(
+        self, parts: list[tuple[Errors, ...]], equations: _ErrorEquations
+    ) -> list[Array]:
         """Return the derivatives of `_log_scales` by the searched coefficients of each row."""
         changes = []
         for i, n in enumerate(self.rows):
-            total = np.sum([of[i].by_scale for of in parts], axis=0) / (
+            total = np.sum([row_errors[i].by_scale for row_errors in parts], axis=0) / (
                 2 * self._errors(i, equations.given)
             )
             begin = n.na if self.layout.letters[0] == "a" else 0
@@ -457,22 +487,22 @@ class UnitCircle:
             return theta
         theta = theta.copy()
         for part in outside:
-            theta[part] = drawn_to_edge(monic(theta[part]), monic(previous[part]))[1:]
+            theta[part] = move_to_edge(monic(theta[part]), monic(previous[part]))[1:]
         return theta
 
     def normals(self, theta: Array) -> Array:
         """Return the gradient d|z|/dtheta for each root z on the circle."""
-        found = np.zeros((0, theta.size))
+        gradients = np.zeros((0, theta.size))
         for part in self._outside(INSIDE_MODULUS, theta):
             rows = outward_normals(monic(theta[part]))
-            whole = np.zeros((len(rows), theta.size))
-            whole[:, part] = rows
-            found = np.vstack([found, whole])
-        return found
+            padded = np.zeros((len(rows), theta.size))
+            padded[:, part] = rows
+            gradients = np.vstack([gradients, padded])
+        return gradients
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Equations:
+class _ErrorEquations:
     """Linear equations of all errors for given polynomials."""
 
     given: list[list[LinearPart]]
@@ -494,6 +524,6 @@ class _Equations:
     def projected(self, combination: Array | None) -> tuple[Basis, Array, Array]:
         """Return a basis of the linear derivatives, these derivatives, and y, without the past."""
         blocks = [g.unknown.without(np.column_stack([g.X, g.y])) for g in self.joined]
-        whole = blocks[0] if len(blocks) == 1 else np.vstack(blocks)
-        columns = whole[:, :-1] if combination is None else whole[:, :-1] @ combination
-        return orthonormal(columns), columns, whole[:, -1]
+        Xy = blocks[0] if len(blocks) == 1 else np.vstack(blocks)
+        columns = Xy[:, :-1] if combination is None else Xy[:, :-1] @ combination
+        return orthonormal(columns), columns, Xy[:, -1]

@@ -21,7 +21,7 @@ from scipy.linalg.lapack import dgeqrf, dormqr
 from armrig.models.innovations import Experiment, response, trend
 from armrig.models.structure import Structure
 from armrig.numerics.least_squares import column_norms, upper_ones
-from armrig.numerics.polynomial import Array, filtered, monic, shift_into
+from armrig.numerics.polynomial import Array, apply_filter, monic, shift_into
 
 # A longer response would contain many denormal numbers, which make a processor ten times slower.
 _MAX_WHOLE_RESPONSE = 1024  # samples
@@ -29,7 +29,7 @@ _ONE = np.ones(1)
 _MIN_COLUMN_REST = 1e-8  # least share of a column that the columns before it do not explain
 
 
-def projected_errors(
+def project_errors(
     x: Experiment, n: Structure, *, C: Array, D: Array, F: Array
 ) -> tuple[Array, Callable[[], Array]] | None:
     """Return e (N - d,) and a function that returns J (N - d, n), both multiplied by Q^T.
@@ -46,7 +46,7 @@ def projected_errors(
     shift_into(W[:, pulses:level], _times(D, by_pulse), 0)
     if n.trend:
         ramps = trend(n, N)
-        W[:, level:begin] = filtered(D, C, ramps.T).T if n.nc + n.nd else ramps
+        W[:, level:begin] = apply_filter(D, C, ramps.T).T if n.nc + n.nd else ramps
     W[:, d] = y = _times(D, by_output)[:N]
     if n.na:
         shift_into(W[:, begin:first], -y)
@@ -70,14 +70,14 @@ def projected_errors(
             driven[: free.size] += free
         Psi = np.zeros((N, n.nc + n.nd + n.nf[0]), order="F")
         if n.nc:
-            shift_into(Psi[:, : n.nc], filtered(_ONE, C, y - W[:, :d] @ solution))
+            shift_into(Psi[:, : n.nc], apply_filter(_ONE, C, y - W[:, :d] @ solution))
         if n.nd:
             v = np.convolve(monic(a), by_output)[:N] if n.na else by_output
             # The trend in v needs no term: filtered by 1/C, it is in the span of W.
             shift_into(Psi[:, n.nc : n.nc + n.nd], driven - v)
             driven = np.convolve(D, driven)[:N]
         if n.nf[0]:
-            shift_into(Psi[:, n.nc + n.nd :], filtered(-_ONE, F, driven))
+            shift_into(Psi[:, n.nc + n.nd :], apply_filter(-_ONE, F, driven))
         Psi, *_ = dormqr("L", "T", reflectors, tau, Psi, 64 * Psi.shape[1], overwrite_c=1)
         return np.asarray(Psi[d:])
 
@@ -87,11 +87,11 @@ def projected_errors(
 def _with_response(P: Array, x: Array) -> tuple[Array, Array]:
     """Return x (N,) filtered by 1/P, and the impulse response of 1/P."""
     if x.size > _MAX_WHOLE_RESPONSE:
-        return filtered(_ONE, P, x), response([1.0], P, x.size)
+        return apply_filter(_ONE, P, x), response([1.0], P, x.size)
     both = np.zeros((2, x.size))
     both[0], both[1, 0] = x, 1.0
-    found, pulse = filtered(_ONE, P, both)
-    return found, pulse
+    filtered_x, pulse = apply_filter(_ONE, P, both)
+    return filtered_x, pulse
 
 
 def _times(P: Array, x: Array) -> Array:
@@ -102,7 +102,7 @@ def _times(P: Array, x: Array) -> Array:
 @lru_cache
 def _ends(n: Structure) -> tuple[int, int, int, int, int]:
     """Return the ends of the pulses z, of x, the trend, A and B in the linear parameters."""
-    pulses = n.forgotten(0) if n.nc else 0
+    pulses = n.past_pulse_count(0) if n.nc else 0
     sizes = n.counts[0], n.trend, n.na, n.nb[0]
     pulses, level, begin, first, d = accumulate(sizes, initial=pulses)
     return pulses, level, begin, first, d

@@ -222,13 +222,13 @@ def rarx(
     """
     state = rarx_start(na=na, nb=nb, nk=nk, forgetting=forgetting)
     fresh = state
-    theta, error, known = np.full((data.N, na + nb), np.nan), np.full(data.N, np.nan), False
+    theta, error, determined = np.full((data.N, na + nb), np.nan), np.full(data.N, np.nan), False
     starts = set(data.starts)
     for t in range(data.N):
         if t in starts:
             state = replace(state, u=fresh.u, y=fresh.y)
         state = rarx_step(state, float(data.u[t]), float(data.y[t]))
-        known = known or state.determined
-        if known:
+        determined = determined or state.determined
+        if determined:
             theta[t], error[t] = state.theta, state.error
     return RecursiveEstimate(theta=theta, error=error, state=state)

@@ -102,15 +102,17 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
 
     def arguments(self, data: Dataset | Signals) -> dict[str, Any]:
         """Return the arguments of the estimator; refuse an order that is too low for an output."""
-        given: dict[str, Any] = self.counts | self.asked
+        estimator_arguments: dict[str, Any] = self.counts | self.asked
         if self.shared:
-            given["shared"] = "denominator"
+            estimator_arguments["shared"] = "denominator"
         if "order" in self.orders and self.integrator:
-            given["integrator"] = True  # one pole of the states of all outputs
+            estimator_arguments["integrator"] = True  # one pole of the states of all outputs
         elif isinstance(self.integrator, tuple):
             for name in [x for x in _COUNTS_INTEGRATOR if x in self.orders]:
-                given[name] = self._of_each(name, given[name], self.integrator, data)
-        return given
+                estimator_arguments[name] = self._of_each(
+                    name, estimator_arguments[name], self.integrator, data
+                )
+        return estimator_arguments
 
     def _of_each(
         self, name: str, n: int, integrating: tuple[str, ...], data: Dataset | Signals
@@ -184,8 +186,8 @@ def options_of(request: Request) -> str:
     asked = {name: x for name, x in request.asked.items() if name in OPTIONS}
     values = {name: x for name, x in (request.counts | asked).items() if x is not None}
     flags = {name: x is True or isinstance(x, tuple) for name, x in values.items()}
-    given = [flag(name) if flags[name] else f"{flag(name)} {x}" for name, x in values.items()]
-    return " ".join([f"--structure {request.structure}", *given])
+    options = [flag(name) if flags[name] else f"{flag(name)} {x}" for name, x in values.items()]
+    return " ".join([f"--structure {request.structure}", *options])
 
 
 def too_high(orders: str) -> InputError:
@@ -195,8 +197,8 @@ def too_high(orders: str) -> InputError:
 
 def estimator(structure: str) -> Callable[..., Fit]:
     """Return the estimator of a structure: the function of its name in `armrig`, or `_of_row`."""
-    found: Callable[..., Fit] | None = getattr(import_module("armrig"), structure, None)
-    return found or _of_row(structure)
+    function: Callable[..., Fit] | None = getattr(import_module("armrig"), structure, None)
+    return function or _of_row(structure)
 
 
 def _of_row(structure: str) -> Callable[..., Fit]:
@@ -204,16 +206,16 @@ def _of_row(structure: str) -> Callable[..., Fit]:
     row = STRUCTURES[structure]
     search = import_module("armrig.estimation.prediction_error").estimated
 
-    def estimate(data: Dataset | Signals, *, nk: Any = 1, **given: Any) -> Fit:
-        orders = {name: given.pop(name) for name in row.orders} | {"nk": nk}
-        fit: Fit = search(data, structure, orders, **given)
+    def estimate(data: Dataset | Signals, *, nk: Any = 1, **arguments: Any) -> Fit:
+        orders = {name: arguments.pop(name) for name in row.orders} | {"nk": nk}
+        fit: Fit = search(data, structure, orders, **arguments)
         return fit
 
     keyword = Parameter.KEYWORD_ONLY
     names = ("nk", *row.orders, *row.takes)
-    taken = [Parameter("data", Parameter.POSITIONAL_OR_KEYWORD)]
-    taken += [Parameter(name, keyword) for name in names]
-    estimate.__signature__ = Signature(taken)  # type: ignore[attr-defined]
+    parameters = [Parameter("data", Parameter.POSITIONAL_OR_KEYWORD)]
+    parameters += [Parameter(name, keyword) for name in names]
+    estimate.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     return estimate
 
 

@@ -17,11 +17,11 @@ import numpy as np
 
 from armrig.estimation.continuous_problem import ContinuousProblem
 from armrig.estimation.problem import PolynomialProblem
-from armrig.estimation.start_values import filtered_denominators, start_values
-from armrig.models.innovations import completed
+from armrig.estimation.start_values import denominators_of_signals, start_values
+from armrig.models.innovations import with_output
 from armrig.numerics.covariance import pairwise_covariance, whitening
 from armrig.numerics.levenberg_marquardt import FIRST_DAMPING, MAX_STEPS, Optimum
-from armrig.numerics.polynomial import Array, filtered, monic, of_roots, reduced, roots
+from armrig.numerics.polynomial import Array, apply_filter, monic, of_roots, reduce_order, roots
 from armrig.numerics.rounding import rounding_std
 
 Ends = list[tuple[str, Optimum]]
@@ -56,7 +56,7 @@ _MAX_MOVES = 3  # largest number of rounds in which a mode of several outputs is
 _MOVED_STARTS = 3  # start values with a moved mode in each of these rounds
 
 
-def searched_minimum(
+def search_minima(
     problem: PolynomialProblem, part: PolynomialProblem | None = None, *, thorough: bool = True
 ) -> Ends:
     """Return the minimum reached from each start value, best first.
@@ -93,32 +93,36 @@ def searched_minimum(
 def _lowest_without_gaps(problem: PolynomialProblem, best: Optimum, **moves: Any) -> Optimum:
     """Return the minimum from the best moved mode, with predicted values of missing outputs."""
     if not problem.gaps:
-        return lowest_beside(problem, best, moved_modes(problem, best.theta, **moves))
-    whole = _completed(problem, best.theta)
-    begin = whole.minimise(_adopted(whole, problem, best.theta))
-    lowest = lowest_beside(whole, begin, moved_modes(whole, begin.theta, **moves))
-    if same_minimum(whole, lowest.cost, begin.cost):
+        return lowest_beside(problem, best, starts_with_moved_mode(problem, best.theta, **moves))
+    filled = _fill_by_prediction(problem, best.theta)
+    begin = filled.minimise(_transfer_theta(filled, problem, best.theta))
+    lowest = lowest_beside(filled, begin, starts_with_moved_mode(filled, begin.theta, **moves))
+    if same_minimum(filled, lowest.cost, begin.cost):
         return best
-    found = problem.minimise(_adopted(problem, whole, lowest.theta), known=best.cost)
-    return found if found.cost < best.cost else best
+    optimum = problem.minimise(
+        _transfer_theta(problem, filled, lowest.theta), earlier_cost=best.cost
+    )
+    return optimum if optimum.cost < best.cost else best
 
 
-def _completed(problem: PolynomialProblem, theta: Array) -> PolynomialProblem:
+def _fill_by_prediction(problem: PolynomialProblem, theta: Array) -> PolynomialProblem:
     """Return the problem with estimates of the missing outputs of a noise model."""
-    return _fill_gaps(problem, [[p.y for p in of] for of in problem.solve_scaled(theta)[0].parts])
+    return _fill_gaps(
+        problem, [[p.y for p in row_errors] for row_errors in problem.solve_scaled(theta)[0].parts]
+    )
 
 
 def _fill_gaps(
     problem: PolynomialProblem, outputs: Sequence[Sequence[Array]] | None = None
 ) -> PolynomialProblem:
     """Return the problem without gaps, with the given outputs, by default interpolated ones."""
-    given = outputs or [[x.y for x in of] for of in problem.experiments]
+    filled_outputs = outputs or [[x.y for x in experiment] for experiment in problem.experiments]
     experiments = tuple(
         tuple(
-            completed(x, n, y) if x.gaps else x
-            for x, n, y in zip(of, problem.rows, ys, strict=True)
+            with_output(x, n, y) if x.gaps else x
+            for x, n, y in zip(experiment, problem.rows, ys, strict=True)
         )
-        for of, ys in zip(problem.experiments, given, strict=True)
+        for experiment, ys in zip(problem.experiments, filled_outputs, strict=True)
     )
     return replace(problem, experiments=experiments)
 
@@ -158,15 +162,15 @@ def from_starts(problem: PolynomialProblem) -> Ends:
     other = np.inf if problem.rows[0].white else _OTHER_MINIMUM
     if not problem.gaps:
         return from_each(problem, start_values(problem), other)
-    whole = _predict_gaps(problem)
-    return _continue_searches(problem, whole, from_each(whole, start_values(whole), other))
+    filled = _predict_gaps(problem)
+    return _continue_searches(problem, filled, from_each(filled, start_values(filled), other))
 
 
 def _predict_gaps(problem: PolynomialProblem) -> PolynomialProblem:
     """Return the problem with the predictions of a first model, which has interpolated outputs."""
-    whole = _fill_gaps(problem)
-    first = from_each(whole, start_values(whole))[0][1]
-    return _completed(problem, _adopted(problem, whole, first.theta))
+    filled = _fill_gaps(problem)
+    first = from_each(filled, start_values(filled))[0][1]
+    return _fill_by_prediction(problem, _transfer_theta(problem, filled, first.theta))
 
 
 def from_each(problem: Problem, starts: Iterable[tuple[str, Array]], other: float = np.inf) -> Ends:
@@ -177,8 +181,13 @@ def from_each(problem: Problem, starts: Iterable[tuple[str, Array]], other: floa
     """
     ends: Ends = []
     for name, theta in sorted(starts, key=lambda start: problem.cost(start[1])):
-        known = min((end.cost for _, end in ends), default=float("nan"))
-        ends.append((name, problem.minimise(theta, known=known, target=known * (1 + other))))
+        least_cost = min((end.cost for _, end in ends), default=float("nan"))
+        ends.append(
+            (
+                name,
+                problem.minimise(theta, earlier_cost=least_cost, target=least_cost * (1 + other)),
+            )
+        )
     return sorted(ends, key=lambda end: end[1].cost)
 
 
@@ -197,15 +206,17 @@ def _continue_searches(
         if previous is not None and same_minimum(part, previous[0], on_part.cost):
             end = previous[1]
         else:
-            known = min((end.cost for _, end in ends), default=float("nan"))
-            end = problem.minimise(_adopted(problem, part, on_part.theta), known=known)
+            least_cost = min((end.cost for _, end in ends), default=float("nan"))
+            end = problem.minimise(
+                _transfer_theta(problem, part, on_part.theta), earlier_cost=least_cost
+            )
         previous = on_part.cost, end
         steps = on_part.iterations + end.iterations
         ends.append((name, replace(end, iterations=steps)))
     return sorted(ends, key=lambda end: end[1].cost)
 
 
-def _adopted(problem: PolynomialProblem, part: PolynomialProblem, theta: Array) -> Array:
+def _transfer_theta(problem: PolynomialProblem, part: PolynomialProblem, theta: Array) -> Array:
     """Return the parameters from those of `part`; only one of the problems may search A."""
     if problem.size <= theta.size:
         return theta[theta.size - problem.size :]
@@ -214,8 +225,8 @@ def _adopted(problem: PolynomialProblem, part: PolynomialProblem, theta: Array) 
 
 def rounding_floor(problem: PolynomialProblem) -> float:
     """Return the cost below which the residuals are rounding errors."""
-    known = [x.y[x.rows] for of in problem.experiments for x in of]
-    return sum(y.size * rounding_std(y) ** 2 for y in known)
+    outputs = [x.y[x.rows] for experiment in problem.experiments for x in experiment]
+    return sum(y.size * rounding_std(y) ** 2 for y in outputs)
 
 
 def same_minimum(problem: PolynomialProblem, lower: float, higher: float) -> bool:
@@ -256,7 +267,7 @@ def _by_chance(problem: PolynomialProblem, lower: float, higher: float, paramete
     return bool(higher <= lower * problem.N ** (parameters / problem.N))
 
 
-def moved_modes(
+def starts_with_moved_mode(
     problem: PolynomialProblem, theta: Array, *, letters: str, all_kinds: bool, most: int
 ) -> Iterator[Array]:
     """Yield start values with one moved mode of `letters`, up to `most` for each kind of move.
@@ -272,7 +283,7 @@ def moved_modes(
             yield from cheapest(problem, _with_mode(problem, theta, k, kind), most)
     if all_kinds:
         if "c" in letters:
-            yield from cheapest(problem, _moved_together(problem, theta), most)
+            yield from cheapest(problem, _starts_with_close_roots(problem, theta), most)
         yield from _with_white_noise(problem, theta)
         yield from cheapest(problem, _through_a_higher_order(problem, theta), most)
 
@@ -294,7 +305,7 @@ def cheapest(problem: Problem, starts: Iterable[Array], most: int) -> list[Array
     return [start for _, start in priced[:most]]
 
 
-def _moved_together(problem: PolynomialProblem, theta: Array) -> Iterator[Array]:
+def _starts_with_close_roots(problem: PolynomialProblem, theta: Array) -> Iterator[Array]:
     """Yield start values in which real roots of C and D move to nearly equal values."""
     of_c, of_d = problem.slice_of("c", 0), problem.slice_of("d", 0)
     C, D = roots(monic(theta[of_c])), roots(monic(theta[of_d]))
@@ -314,11 +325,11 @@ def _with_white_noise(problem: PolynomialProblem, theta: Array) -> Iterator[Arra
         return
     D, C = (monic(theta[problem.slice_of(letter, 0)]) for letter in "dc")
     signals = [
-        [(np.column_stack([filtered(D, C, u) for u in x.u.T]), filtered(D, C, x.y))]
+        [(np.column_stack([apply_filter(D, C, u) for u in x.u.T]), apply_filter(D, C, x.y))]
         for (x,) in problem.experiments
     ]
     output_error = replace(problem, rows=tuple(n.output_error for n in problem.rows))
-    for f in filtered_denominators(output_error, signals):
+    for f in denominators_of_signals(output_error, signals):
         start = theta.copy()
         start[at] = f
         yield start
@@ -331,13 +342,13 @@ def _through_a_higher_order(problem: PolynomialProblem, theta: Array) -> Iterato
     if len(n.groups) > 1 or not any(n.sizes) or not n.white:
         return
     nb, nf = (
-        tuple(k + 1 if of else 0 for k, of in zip(x, n.nb, strict=True)) for x in (n.nb, n.nf)
+        tuple(k + 1 if count else 0 for k, count in zip(x, n.nb, strict=True)) for x in (n.nb, n.nf)
     )
     larger = replace(problem, rows=(replace(n, nb=nb, nf=nf),))
     for root in _ADDED_ROOTS:
         F = np.convolve(monic(theta), [1.0, -root]) * _SHRINKAGE ** np.arange(theta.size + 2)
-        found = larger.minimise(F[1:], most=_MAX_LARGER_STEPS).theta
-        yield from (lower[1:] for lower in reduced(monic(found)))
+        larger_f = larger.minimise(F[1:], most=_MAX_LARGER_STEPS).theta
+        yield from (lower[1:] for lower in reduce_order(monic(larger_f)))
 
 
 def other_pairs(z: Array) -> Iterator[Array]:
@@ -367,54 +378,54 @@ def _without_one_real(z: Array) -> Iterator[Array]:
 
 def _without_one_pair(z: Array) -> Iterator[Array]:
     """Yield the roots without each complex pair, then without the two smallest real roots."""
-    rest = np.arange(z.size)
+    indices = np.arange(z.size)
     for i in np.flatnonzero(z.imag > _REAL_TOLERANCE):
         partner = int(np.argmin(np.abs(z - np.conj(z[i]))))
-        yield z[(rest != i) & (rest != partner)]
+        yield z[(indices != i) & (indices != partner)]
     real = np.flatnonzero(np.abs(z.imag) <= _REAL_TOLERANCE)
     if real.size >= 2:
         smallest = real[np.argsort(np.abs(z[real]))[:2]]
-        yield z[~np.isin(rest, smallest)]
+        yield z[~np.isin(indices, smallest)]
 
 
-def searched_together(problem: PolynomialProblem) -> tuple[PolynomialProblem, Ends]:
+def search_together(problem: PolynomialProblem) -> tuple[PolynomialProblem, Ends]:
     """Return the problem of several outputs with an estimated Lambda, and its minima, best first.
 
     Data with gaps are completed by the predictions of a first model. After the search in these
     data, one search continues in the data with gaps.
     """
     if not problem.gaps:
-        return _reweighted(problem, from_starts(problem))
+        return _reweigh(problem, from_starts(problem))
     _, start = min(start_values(problem), key=lambda start: problem.cost(start[1]))
-    whole = _completed(problem, problem.minimise(start, most=_FIRST_STEPS).theta)
-    whole, ends = _reweighted(whole, from_starts(whole))
+    filled = _fill_by_prediction(problem, problem.minimise(start, most=_FIRST_STEPS).theta)
+    filled, ends = _reweigh(filled, from_starts(filled))
     name, best = ends[0]
-    begin = replace(best, theta=_adopted(problem, whole, best.theta))
-    Lambda = noise_covariance(whole, best.theta)
-    _, problem, end = _iterated(weighted_by(problem, Lambda), begin, _END_TOLERANCE)
+    begin = replace(best, theta=_transfer_theta(problem, filled, best.theta))
+    Lambda = noise_covariance(filled, best.theta)
+    _, problem, end = _iterate_weights(with_noise_weights(problem, Lambda), begin, _END_TOLERANCE)
     return problem, [(name, end), *ends[1:]]
 
 
-def _reweighted(problem: PolynomialProblem, ends: Ends) -> tuple[PolynomialProblem, Ends]:
+def _reweigh(problem: PolynomialProblem, ends: Ends) -> tuple[PolynomialProblem, Ends]:
     """Return the problem of least det Lambda, and the minima with an estimated Lambda."""
     # The best minimum need not be the first of `ends`, which the variances of y weighted.
-    found = [(name, *_iterated(problem, end, _SAME_TOLERANCE)) for name, end in ends]
-    found = ranked(found, lambda one: one[1])
+    candidates = [(name, *_iterate_weights(problem, end, _SAME_TOLERANCE)) for name, end in ends]
+    candidates = rank_ends(candidates, lambda one: one[1])
     for _ in range(_MAX_MOVES):
-        best = found[0]
+        best = candidates[0]
         moved = [
-            ("moved mode", *_iterated(best[2], best[2].minimise(theta), _SAME_TOLERANCE))
-            for theta in _moved_most(best[2], best[3].theta)
+            ("moved mode", *_iterate_weights(best[2], best[2].minimise(theta), _SAME_TOLERANCE))
+            for theta in _best_moved_starts(best[2], best[3].theta)
         ]
-        found = ranked([*found, *moved], lambda one: one[1])
-        if found[0] is best:
+        candidates = rank_ends([*candidates, *moved], lambda one: one[1])
+        if candidates[0] is best:
             break
-    name, _, weighted, end = found[0]
-    _, weighted, end = _iterated(weighted, end, _END_TOLERANCE)
-    return weighted, [(name, end), *((other, end) for other, _, _, end in found[1:])]
+    name, _, weighted, end = candidates[0]
+    _, weighted, end = _iterate_weights(weighted, end, _END_TOLERANCE)
+    return weighted, [(name, end), *((other, end) for other, _, _, end in candidates[1:])]
 
 
-def _moved_most(problem: PolynomialProblem, theta: Array) -> list[Array]:
+def _best_moved_starts(problem: PolynomialProblem, theta: Array) -> list[Array]:
     """Move one mode of A and F, or else of C and D; return the start values of least cost."""
     letters = problem.layout.letters
     moved = "af" if set(problem.letters) & set("af") else "cd"
@@ -428,7 +439,7 @@ def _moved_most(problem: PolynomialProblem, theta: Array) -> list[Array]:
     return cheapest(problem, starts, _MOVED_STARTS)
 
 
-def _iterated(
+def _iterate_weights(
     problem: PolynomialProblem, end: Optimum, tolerance: float
 ) -> tuple[float, PolynomialProblem, Optimum]:
     """Return log det Lambda, the problem and its minimum after Lambda hardly changes."""
@@ -436,7 +447,7 @@ def _iterated(
     most = _MAX_STEPS_WITH_GAPS if problem.gaps else MAX_STEPS
     steps = end.iterations
     for _ in range(_MAX_REWEIGHTINGS):
-        problem = weighted_by(problem, Lambda)
+        problem = with_noise_weights(problem, Lambda)
         end = problem.minimise(end.theta, most=most)
         steps += end.iterations
         before, Lambda = Lambda, noise_covariance(problem, end.theta)
@@ -447,31 +458,33 @@ def _iterated(
     return float(np.linalg.slogdet(Lambda)[1]), problem, end
 
 
-def weighted_by(problem: PolynomialProblem, Lambda: Array) -> PolynomialProblem:
+def with_noise_weights(problem: PolynomialProblem, Lambda: Array) -> PolynomialProblem:
     """Return the problem of several rows with the weights inv(Lambda)."""
-    masks = [np.column_stack([x.rows for x in of]) for of in problem.experiments]
+    masks = [np.column_stack([x.rows for x in experiment]) for experiment in problem.experiments]
     return replace(problem, weights=tuple(whitening(Lambda, m) for m in masks))
 
 
 def noise_covariance(problem: PolynomialProblem, theta: Array) -> Array:
     """Return the covariance of the errors at theta."""
     e = [
-        np.column_stack([np.where(x.rows, p.e, np.nan) for x, p in zip(of, parts, strict=True)])
-        for of, parts in zip(problem.experiments, problem.solve(theta).parts, strict=True)
+        np.column_stack(
+            [np.where(x.rows, p.e, np.nan) for x, p in zip(experiment, parts, strict=True)]
+        )
+        for experiment, parts in zip(problem.experiments, problem.solve(theta).parts, strict=True)
     ]
     return pairwise_covariance(np.vstack(e))
 
 
-def ranked(ends: Iterable[End], criterion: Callable[[End], float]) -> list[End]:
+def rank_ends(ends: Iterable[End], criterion: Callable[[End], float]) -> list[End]:
     """Return the results of searches, best first; results at the same minimum keep their order.
 
     At the same minimum only rounding errors, which differ from processor to processor, decide which
     cost is lower. `criterion` returns the logarithm of the cost of a result.
     """
-    found = list(ends)
-    values = np.array([criterion(end) for end in found])
+    all_ends = list(ends)
+    values = np.array([criterion(end) for end in all_ends])
     values[np.isnan(values)] = np.inf
     higher = values > values.min()
     steps = np.zeros(values.size)
     steps[higher] = np.rint((values[higher] - values.min()) / SAME_COST_TOLERANCE)
-    return [found[i] for i in np.argsort(steps, kind="stable")]
+    return [all_ends[i] for i in np.argsort(steps, kind="stable")]

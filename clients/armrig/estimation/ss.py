@@ -15,26 +15,26 @@ from armrig.estimation.estimated_outputs import origin
 from armrig.estimation.fit_warnings import not_converged, with_doubts
 from armrig.estimation.n4sid import n4sid, order_of
 from armrig.estimation.orders import as_text, require_samples
-from armrig.estimation.search import ranked
+from armrig.estimation.search import rank_ends
 from armrig.estimation.stability import instability
 from armrig.estimation.state_space_fit import derivatives, inference, influence, matrices
-from armrig.estimation.state_space_gaps import searched
+from armrig.estimation.state_space_gaps import search_with_gaps
 from armrig.estimation.state_space_problem import (
     Linear,
     StateSpaceProblem,
     delays_of,
     parts_of,
-    scaled_signals,
+    scale_signals,
     tangent,
 )
-from armrig.estimation.state_space_responses import Part
-from armrig.estimation.state_space_starts import moved_modes, starts
+from armrig.estimation.state_space_responses import ScaledExperiment
+from armrig.estimation.state_space_starts import starts, starts_with_moved_eigenvalue
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.numerics.checks import require_flags, require_integers
 from armrig.numerics.covariance import pairwise_covariance, whitening
 from armrig.numerics.polynomial import Array
-from armrig.numerics.quantities import listed, plural
+from armrig.numerics.quantities import join_names, plural
 
 _STEPS = 2  # steps of the search between two estimates of Lambda
 _TRIED_STEPS = 6  # steps between two estimates of Lambda while the start values are tried
@@ -158,16 +158,16 @@ def ss(
             f"{plural(data.missing, 'value is', 'values are')} missing: weights of outputs and an "
             "estimated K need complete data; leave out output_weights, or give noise=False"
         )
-    whole = _filled(data, n, nk) if gaps else data
-    signals, su, sy = scaled_signals(whole, delays)
+    filled = _fill_gaps(data, n, nk) if gaps else data
+    signals, su, sy = scale_signals(filled, delays)
     problem = StateSpaceProblem(
         parts=parts_of(signals, np.eye(ny)), order=n, direct=direct, noise=noise
     )
     weights = _weights(output_weights, data)
     criterion = _Criterion(given=np.diag(1 / (np.array(weights) * sy**2)) if weights else None)
-    ends = _searched(problem, signals, criterion)
+    ends = _search(problem, signals, criterion)
     best = ends[0]
-    problem = _weighted(problem, best.Lambda)
+    problem = _with_weights(problem, best.Lambda)
     linear = problem.linear(best.Abar, best.C)
     if linear.basis.rank < linear.basis.d:
         raise InputError(
@@ -180,7 +180,7 @@ def ss(
             (u, np.where(part.valid[part.N - len(y) :], y, np.nan))
             for (u, y), part in zip(signals, data.experiments(), strict=True)
         ]
-        end = searched(problem, measured, predictor, best.Lambda)
+        end = search_with_gaps(problem, measured, predictor, best.Lambda)
         problem, predictor = end.problem.problem, end.predictor
         best = replace(best, iterations=best.iterations + end.iterations, converged=end.converged)
         Psi, states, residuals = end.Psi, end.states, end.residuals
@@ -192,7 +192,7 @@ def ss(
     V = tangent(predictor.Abar, predictor.C)
     by = derivatives(problem, predictor, V)
     form, T = matrices(predictor, by, su, sy, delays)
-    found = inference(data, problem, Psi, states, residuals, sy).transformed(T)
+    inferred = inference(data, problem, Psi, states, residuals, sy).transformed(T)
     notes = [] if best.converged else [not_converged(best.iterations)]
     fit = Fit(
         structure="ss",
@@ -210,13 +210,13 @@ def ss(
             for e in ends
         ),
         findings=(*notes, *instability(form)),
-        **found.fields(),
+        **inferred.fields(),
         **origin(data),
     )
     return with_doubts(fit)
 
 
-def _filled(data: Signals, order: int, nk: int | Sequence[int]) -> Signals:
+def _fill_gaps(data: Signals, order: int, nk: int | Sequence[int]) -> Signals:
     """Return the data with predictions of missing outputs by a subspace model, or a simulation."""
     try:
         model = n4sid(data[:_FILLED_SAMPLES], order, nk=nk, replicates=0)
@@ -227,56 +227,59 @@ def _filled(data: Signals, order: int, nk: int | Sequence[int]) -> Signals:
     return data.replaced(step=None, y=y, valid=np.isfinite(y))
 
 
-def _weights(given: Sequence[float] | None, data: Signals) -> tuple[float, ...]:
+def _weights(output_weights: Sequence[float] | None, data: Signals) -> tuple[float, ...]:
     """Return the weights of the outputs; () if none are given."""
-    if given is None:
+    if output_weights is None:
         return ()
-    values = np.asarray(given, dtype=np.float64)
+    values = np.asarray(output_weights, dtype=np.float64)
     if values.shape != (data.ny,) or not (np.isfinite(values) & (values > 0)).all():
         raise InputError(
-            f"output_weights={given!r} must be {data.ny} positive numbers, one for each output of "
-            f"{listed(data.outputs)}"
+            f"output_weights={output_weights!r} must be {data.ny} positive numbers, one for "
+            "each output of "
+            f"{join_names(data.outputs)}"
         )
     return tuple(values.tolist())
 
 
-def _weighted(problem: StateSpaceProblem, Lambda: Array) -> StateSpaceProblem:
+def _with_weights(problem: StateSpaceProblem, Lambda: Array) -> StateSpaceProblem:
     parts = tuple(replace(p, weights=whitening(Lambda, p.rows)) for p in problem.parts)
     return replace(problem, parts=parts)
 
 
-def _searched(
+def _search(
     problem: StateSpaceProblem, signals: Sequence[tuple[Array, Array]], criterion: _Criterion
 ) -> list[_End]:
     """Return the searches from start values and moved modes on a part, continued on all data."""
     part = _part(problem)
-    ends = _tried(part, _begun(part, starts(problem, signals), criterion), criterion)
+    ends = _try_searches(part, _first_ends(part, starts(problem, signals), criterion), criterion)
     for _ in range(_MAX_MOVES):
         best = ends[0]
-        moved = _begun(part, moved_modes(part, best.Abar, best.C), criterion)
-        ends = _different([*ends, *_tried(part, moved, criterion)])
+        moved = _first_ends(part, starts_with_moved_eigenvalue(part, best.Abar, best.C), criterion)
+        ends = _different([*ends, *_try_searches(part, moved, criterion)])
         if ends[0] is best:
             break
     improved: list[_End] = []
     for end in ends[:_CONTINUED]:
         least = min((end.criterion for end in improved), default=np.inf)
         begun = replace(end, criterion=np.inf, converged=False)
-        improved.append(_improved(problem, begun, criterion, least))
-    return ranked(improved, lambda end: end.criterion)
+        improved.append(_improve(problem, begun, criterion, least))
+    return rank_ends(improved, lambda end: end.criterion)
 
 
-def _begun(
+def _first_ends(
     problem: StateSpaceProblem, values: Mapping[str, tuple[Array, Array]], criterion: _Criterion
 ) -> list[_End]:
     """Return the criterion and Lambda at each start value, as the first state of each search."""
-    found = []
+    ends = []
     for name, (Abar, C) in values.items():
         Lambda, value = criterion(problem, Abar, C, problem.linear(Abar, C))
-        found.append(_End(name=name, Abar=Abar, C=C, Lambda=Lambda, criterion=value))
-    return found
+        ends.append(_End(name=name, Abar=Abar, C=C, Lambda=Lambda, criterion=value))
+    return ends
 
 
-def _tried(problem: StateSpaceProblem, ends: list[_End], criterion: _Criterion) -> list[_End]:
+def _try_searches(
+    problem: StateSpaceProblem, ends: list[_End], criterion: _Criterion
+) -> list[_End]:
     """Return the distinct models after `_TRIED_ROUNDS` rounds of each search, best first."""
     for _ in range(_TRIED_ROUNDS):
         ends = _different(
@@ -292,7 +295,7 @@ def _part(problem: StateSpaceProblem) -> StateSpaceProblem:
         n = min(part.u.shape[0], left)
         if n > 0:
             fields = {name: getattr(part, name)[:n] for name in ("u", "y", "rows", "weights")}
-            parts.append(Part(**fields))
+            parts.append(ScaledExperiment(**fields))
         left -= n
     return replace(problem, parts=tuple(parts))
 
@@ -306,7 +309,7 @@ def _different(ends: list[_End]) -> list[_End]:
     return kept
 
 
-def _improved(problem: StateSpaceProblem, end: _End, criterion: _Criterion, least: float) -> _End:
+def _improve(problem: StateSpaceProblem, end: _End, criterion: _Criterion, least: float) -> _End:
     """Continue the search `end`; stop early if the criterion falls too slowly to reach `least`."""
     for _ in range(_MAX_ROUNDS):
         before, end = end, _round(problem, end, criterion, _STEPS, _SAME_TOLERANCE)
@@ -322,8 +325,8 @@ def _round(
     """Continue the search for at most `most` steps with the same Lambda, then estimate Lambda."""
     if end.converged:
         return end
-    weighted = _weighted(problem, end.Lambda)
-    Abar, C, linear, found = weighted.minimise(end.Abar, end.C, most=most)
+    weighted = _with_weights(problem, end.Lambda)
+    Abar, C, linear, optimum = weighted.minimise(end.Abar, end.C, most=most)
     Lambda, value = criterion(weighted, Abar, C, linear)
     return replace(
         end,
@@ -331,6 +334,6 @@ def _round(
         C=C,
         Lambda=Lambda,
         criterion=value,
-        iterations=end.iterations + found.iterations,
+        iterations=end.iterations + optimum.iterations,
         converged=abs(end.criterion - value) <= tolerance,
     )

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from armrig.data.finding import Finding, Remedy, warning
-from armrig.data.treatment import known_to_integrate
+from armrig.data.treatment import integrates_by_name
 from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.models.estimate import Form
 from armrig.models.fit import Fit
 from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array, monic, reflected, roots, without_integrator
+from armrig.numerics.polynomial import Array, monic, reflect_roots, roots, without_integrator
 from armrig.numerics.quantities import digits
 
 CIRCLE_ROUNDING = 1e-9  # error of the computed modulus of a root on the circle
@@ -30,7 +30,7 @@ _CIRCLE_MARGIN = 1e-6  # least distance of a reflected pole from the circle
 _CIRCLE_TOLERANCE = 1e-6  # error of the modulus of an eigenvalue of several signals
 
 
-def stabilised(p: Array) -> Array:
+def stabilise(p: Array) -> Array:
     """Return p with each root z outside the unit circle replaced by its reflection 1/z*.
 
     The reflection changes |p| by the same factor at all frequencies. A root on the circle is moved
@@ -38,7 +38,7 @@ def stabilised(p: Array) -> Array:
     """
     if np.all(np.abs(roots(p)) < 1.0 - CIRCLE_ROUNDING):
         return p
-    return reflected(p, 1.0 - _CIRCLE_MARGIN)
+    return reflect_roots(p, 1.0 - _CIRCLE_MARGIN)
 
 
 def reflection_warnings(before: Array, after: Array) -> Iterator[Finding]:
@@ -67,14 +67,14 @@ def with_stable_poles(
     fixed = np.zeros(ab.size, dtype=np.bool_)
     for i, n in enumerate(problem.rows):
         at = layout.linear[i][: n.na] if layout.letters[0] != "a" else np.zeros(0, dtype=np.int_)
-        A = stabilised(free := monic(ab[at]))
+        A = stabilise(free := monic(ab[at]))
         if A is not free:
             notes += reflection_warnings(free, A)
             ab[at], fixed[at] = A[1:], True
     theta = theta.copy()
     for letter, part in zip(layout.letters, layout.slices, strict=True):
         if letter in "adf":
-            inside = stabilised(free := monic(theta[part]))
+            inside = stabilise(free := monic(theta[part]))
             notes += reflection_warnings(free, inside)
             theta[part] = inside[1:]
     if not notes:
@@ -118,7 +118,7 @@ def unstable(farthest: float, way_out: str, remedy: Remedy) -> Finding:
 
 def instability(form: Form) -> Iterator[Finding]:
     """Yield a warning if a pole of a model of several signals is outside the unit circle."""
-    largest = float(np.max(np.abs(np.linalg.eigvals(form.realised().A)), initial=0.0))
+    largest = float(np.max(np.abs(np.linalg.eigvals(form.innovations_form().A)), initial=0.0))
     if largest > 1 + _CIRCLE_TOLERANCE:
         yield warning(
             "unstable",
@@ -141,11 +141,13 @@ def _way_out(fit: Fit, farthest: float) -> tuple[str, Remedy]:
             )
             return text, ""
         at_1 = abs(z - 1) < _INTEGRATOR_SIGMAS * std + CIRCLE_ROUNDING
-        known = abs(z - 1) < _MAX_DISTANCE_FROM_1 and known_to_integrate(fit.output)
-        if at_1 or known:
-            what = "the pole is 1 within its accuracy; " if at_1 else ""
-            what += f"{fit.output} integrates, so " if known else f"if {fit.output} integrates, "
+        integrates = abs(z - 1) < _MAX_DISTANCE_FROM_1 and integrates_by_name(fit.output)
+        if at_1 or integrates:
+            reason = "the pole is 1 within its accuracy; " if at_1 else ""
+            reason += (
+                f"{fit.output} integrates, so " if integrates else f"if {fit.output} integrates, "
+            )
             if "integrator" in STRUCTURES[fit.structure].takes:
-                return what + "set the option integrator", "integrator"
-            return what + "use OE with the option integrator", "structure"
+                return reason + "set the option integrator", "integrator"
+            return reason + "use OE with the option integrator", "structure"
     return REFLECT

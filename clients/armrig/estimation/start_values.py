@@ -21,7 +21,7 @@ from armrig.estimation.problem import PolynomialProblem
 from armrig.models.innovations import Experiment, trend
 from armrig.models.structure import Structure, free_columns
 from armrig.numerics.least_squares import least_squares, orthonormal, triangle
-from armrig.numerics.polynomial import Array, filtered, lagged, reflected
+from armrig.numerics.polynomial import Array, apply_filter, lag_columns, reflect_roots
 from armrig.numerics.regressors import complete, past
 from armrig.numerics.whiteness import autoregression
 
@@ -59,12 +59,12 @@ def start_values(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
         yield from _without_denominator(problem)
         return
     output_error = replace(problem, rows=tuple(n.output_error for n in problem.rows))
-    found = []
+    candidates = []
     for name, f in denominators(output_error):
-        found.append(f)
+        candidates.append(f)
         yield name, _with_noise(problem, f)
     if not all(n.white for n in problem.rows):
-        f = output_error.minimise(min(found, key=output_error.cost), most=_MAX_OE_STEPS).theta
+        f = output_error.minimise(min(candidates, key=output_error.cost), most=_MAX_OE_STEPS).theta
         yield "OE", _with_noise(problem, f)
 
 
@@ -73,10 +73,15 @@ def denominators(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
 
     Missing samples of y are interpolated for these start values, but not in the search itself.
     """
-    smooth, measured = paths(problem, [[(x.u, x.y) for x in of] for of in problem.experiments])
+    smooth, measured = paths(
+        problem, [[(x.u, x.y) for x in experiment] for experiment in problem.experiments]
+    )
     sizes = _sizes(problem)
     pairs = zip(measured, sizes, strict=True)
-    yield "ARX", np.concatenate([reflected(equation_error(p, np.ones(1), n))[1:] for p, n in pairs])
+    yield (
+        "ARX",
+        np.concatenate([reflect_roots(equation_error(p, np.ones(1), n))[1:] for p, n in pairs]),
+    )
     first = [
         [*steiglitz_mcbride(p, np.ones(1), n, iterations=5)][-1]
         for p, n in zip(smooth, sizes, strict=True)
@@ -89,7 +94,7 @@ def denominators(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
     yield "high-order ARX, Steiglitz-McBride", min(candidates, key=problem.cost)
 
 
-def filtered_denominators(problem: PolynomialProblem, signals: Signals) -> Iterator[Array]:
+def denominators_of_signals(problem: PolynomialProblem, signals: Signals) -> Iterator[Array]:
     """Yield start values of each F in an output-error problem, from other signals."""
     for of_groups in paths(problem, signals):
         yield from _together(
@@ -109,10 +114,10 @@ def _together(iterations: Sequence[Iterator[Array]]) -> Iterator[Array]:
     """Yield the coefficients of all polynomials after each iteration, until all have ended."""
     last = [np.ones(1)] * len(iterations)
     while True:
-        moved = [next(of, None) for of in iterations]
-        if all(F is None for F in moved):
+        polynomials = [next(iteration, None) for iteration in iterations]
+        if all(F is None for F in polynomials):
             return
-        last = [F if new is None else new for F, new in zip(last, moved, strict=True)]
+        last = [F if new is None else new for F, new in zip(last, polynomials, strict=True)]
         yield np.concatenate([F[1:] for F in last])
 
 
@@ -129,7 +134,7 @@ def paths(
     smooth: dict[int, list[Path]] = {k: [] for k in used}
     measured: dict[int, list[Path]] = {k: [] for k in used}
     for i, n in enumerate(problem.rows):
-        parts = [of[i] for of in signals]
+        parts = [experiment[i] for experiment in signals]
         shares = contributions(parts, n)
         trends = tuple(trend(n, y.size) for _, y in parts) if n.trend else ()
         slots = layout.polynomials[i][-len(n.groups) :]
@@ -138,7 +143,7 @@ def paths(
                 continue
             inputs = [j for j in group if n.nb[j]]
             others = [j for other in n.groups if other != group for j in other]
-            whole = Path(
+            equation = Path(
                 parts=tuple(
                     (u[:, inputs], y if s is None else y - s[:, others].sum(axis=1))
                     for (u, y), s in zip(parts, shares, strict=True)
@@ -147,9 +152,9 @@ def paths(
                 pulses=count,
                 trend=trends,
             )
-            measured[k].append(whole)
+            measured[k].append(equation)
             if shares[0] is None:
-                smooth[k].append(whole)
+                smooth[k].append(equation)
                 continue
             smooth[k] += [
                 Path(
@@ -178,18 +183,20 @@ def contributions(parts: Sequence[tuple[Array, Array]], n: Structure) -> list[Ar
         return [None] * len(parts)
     blocks = []
     for u, y in parts:
-        inputs = [lagged(u[:, j], range(k, k + most)) for j, k in enumerate(n.nk)]
-        block = np.column_stack([-lagged(y, range(1, most + 1)), *inputs, trend(n, y.size), y])
+        inputs = [lag_columns(u[:, j], range(k, k + most)) for j, k in enumerate(n.nk)]
+        block = np.column_stack([-lag_columns(y, range(1, most + 1)), *inputs, trend(n, y.size), y])
         blocks.append(block[most + max(n.nk) :])
     stacked = np.vstack(blocks)
     # The high order may exceed the rank of the data; dependent columns have coefficient 0.
     theta = least_squares(stacked[:, :-1], stacked[:, -1:])[:, 0]
-    A = reflected(np.append(1.0, theta[:most]))
+    A = reflect_roots(np.append(1.0, theta[:most]))
     B = [
         np.append(np.zeros(k), theta[most * (j + 1) : most * (j + 2)]) if n.nb[j] else np.zeros(1)
         for j, k in enumerate(n.nk)
     ]
-    return [np.column_stack([filtered(b, A, u[:, j]) for j, b in enumerate(B)]) for u, _ in parts]
+    return [
+        np.column_stack([apply_filter(b, A, u[:, j]) for j, b in enumerate(B)]) for u, _ in parts
+    ]
 
 
 def equation_error(equations: Sequence[Path], F: Array, n: int) -> Array:
@@ -200,17 +207,17 @@ def equation_error(equations: Sequence[Path], F: Array, n: int) -> Array:
     """
     blocks = []
     for equation in equations:
-        rest = []
+        triangles = []
         for k, (u, y) in enumerate(equation.parts):
-            y_F, *u_F = filtered([1.0], F, np.vstack([y, u.T])) if F.size > 1 else (y, *u.T)
-            inputs = [lagged(x, lags) for x, lags in zip(u_F, equation.lags, strict=True)]
+            y_F, *u_F = apply_filter([1.0], F, np.vstack([y, u.T])) if F.size > 1 else (y, *u.T)
+            inputs = [lag_columns(x, lags) for x, lags in zip(u_F, equation.lags, strict=True)]
             past = free_columns(F, y.size, count=equation.pulses, drift=False)
             free = np.hstack([past, *equation.trend[k : k + 1]])
-            outputs = -lagged(y_F, range(1, n + 1))
-            whole = np.column_stack([free, *inputs, outputs, y_F])
-            R = triangle([whole], whole.shape[1])
-            rest.append(R[free.shape[1] :, free.shape[1] :])
-        blocks.append(triangle(rest, rest[0].shape[1])[-n - 1 :, -n - 1 :])
+            outputs = -lag_columns(y_F, range(1, n + 1))
+            columns = np.column_stack([free, *inputs, outputs, y_F])
+            R = triangle([columns], columns.shape[1])
+            triangles.append(R[free.shape[1] :, free.shape[1] :])
+        blocks.append(triangle(triangles, triangles[0].shape[1])[-n - 1 :, -n - 1 :])
     stacked = np.vstack(blocks)
     return np.append(1.0, least_squares(stacked[:, :n], stacked[:, n:]))
 
@@ -221,7 +228,7 @@ def steiglitz_mcbride(
     """Yield a stable F (n + 1,) after each iteration, until F changes by less than 0.1 %."""
     for _ in range(iterations):
         previous = F
-        F = reflected(equation_error(equations, F, n))
+        F = reflect_roots(equation_error(equations, F, n))
         yield F
         if F.size == previous.size and np.linalg.norm(F - previous) < 1e-3 * np.linalg.norm(F):
             return
@@ -261,9 +268,9 @@ def _from_output_error(problem: PolynomialProblem) -> Iterator[tuple[str, Array]
             parts = output_error.solve(a).parts
             for i, n in enumerate(problem.rows):
                 v = []
-                for of, found in zip(problem.experiments, parts, strict=True):
-                    y = np.where(of[i].known, of[i].y, np.nan)
-                    v.append(np.convolve(y - found[i].driven, A)[: y.size])
+                for experiment, row_errors in zip(problem.experiments, parts, strict=True):
+                    y = np.where(experiment[i].known, experiment[i].y, np.nan)
+                    v.append(np.convolve(y - row_errors[i].driven, A)[: y.size])
                 C, D = noise_start(v, nc=n.nc, nd=n.nd)
                 theta[problem.slice_of("c", i)], theta[problem.slice_of("d", i)] = C[1:], D[1:]
             yield kind + name, theta
@@ -282,8 +289,8 @@ def _with_noise(problem: PolynomialProblem, f: Array) -> Array:
     for i, n in enumerate(problem.rows):
         A = problem.named(solution.ab, theta, i)["A"]
         v = []
-        for of, parts in zip(problem.experiments, solution.parts, strict=True):
-            x = of[i]
+        for experiment, parts in zip(problem.experiments, solution.parts, strict=True):
+            x = experiment[i]
             y = np.where(x.known, x.y, np.nan) if x.gaps else x.y
             noise = np.convolve(y, A)[: y.size] - parts[i].driven
             noise[~x.rows] = np.nan
@@ -298,15 +305,17 @@ def _equation_errors(problem: PolynomialProblem, theta: Array) -> Array:
     blocks = []
     for i, n in enumerate(problem.rows):
         F = problem.named(np.zeros(problem.linear_size), theta, i)["F"]
-        for of in problem.experiments:
-            x = of[i]
+        for experiment in problem.experiments:
+            x = experiment[i]
             y = np.where(x.known, x.y, np.nan)
-            inputs = [past(filtered([1.0], F[j], x.u[:, j]), n.lags(j)) for j in range(len(n.nb))]
+            inputs = [
+                past(apply_filter([1.0], F[j], x.u[:, j]), n.lags(j)) for j in range(len(n.nb))
+            ]
             block = np.column_stack([-past(y, range(1, n.na + 1)), y, *inputs, trend(n, y.size)])
             block = block[complete(block)]  # the rows without an unknown value
             blocks.append(orthonormal(block[:, n.na + 1 :]).without(block[:, : n.na + 1]))
-    whole = np.vstack(blocks)
-    return orthonormal(whole[:, :-1]).coefficients(whole[:, -1])
+    M = np.vstack(blocks)
+    return orthonormal(M[:, :-1]).coefficients(M[:, -1])
 
 
 def armax_start(experiments: Sequence[Experiment], n: Structure) -> tuple[Array, Array]:
@@ -314,7 +323,7 @@ def armax_start(experiments: Sequence[Experiment], n: Structure) -> tuple[Array,
     y = [np.where(x.known, x.y, np.nan) for x in experiments]
     order = _long_order(y, n.parameters)
     long = [_regressors(x, v, n, order) for x, v in zip(experiments, y, strict=True)]
-    theta = _solved(long, y)
+    theta = _solve(long, y)
     e = [v - Phi @ theta for Phi, v in zip(long, y, strict=True)]
     Phis = [_regressors(x, v, n, 0) for x, v in zip(experiments, y, strict=True)]
     C = np.ones(1)
@@ -322,8 +331,8 @@ def armax_start(experiments: Sequence[Experiment], n: Structure) -> tuple[Array,
         blocks = [
             np.hstack([Phi, past(i, range(1, n.nc + 1))]) for Phi, i in zip(Phis, e, strict=True)
         ]
-        theta = _solved(blocks, y)
-        C = reflected(np.append(1.0, theta[n.na + sum(n.nb) :]), _MAX_START_ROOT)
+        theta = _solve(blocks, y)
+        C = reflect_roots(np.append(1.0, theta[n.na + sum(n.nb) :]), _MAX_START_ROOT)
         left = [v - Phi @ theta[: Phi.shape[1]] for Phi, v in zip(Phis, y, strict=True)]
         e = [_innovations(np.ones(1), C, v) for v in left]
     return np.append(1.0, theta[: n.na]), C
@@ -345,9 +354,9 @@ def noise_start(v: Sequence[Array], *, nc: int, nd: int) -> tuple[Array, Array]:
     of_v = [-past(x, range(1, nd + 1)) for x in v]
     for _ in range(_PASSES if nc else 1):
         of_e = [past(i, range(1, nc + 1)) for i in e]
-        theta = _solved([np.hstack(both) for both in zip(of_v, of_e, strict=True)], v)
-        D = reflected(np.append(1.0, theta[:nd]), _MAX_START_ROOT)
-        C = reflected(np.append(1.0, theta[nd:]), _MAX_START_ROOT)
+        theta = _solve([np.hstack(both) for both in zip(of_v, of_e, strict=True)], v)
+        D = reflect_roots(np.append(1.0, theta[:nd]), _MAX_START_ROOT)
+        C = reflect_roots(np.append(1.0, theta[nd:]), _MAX_START_ROOT)
         e = [_innovations(D, C, x) for x in v]
     return C, D
 
@@ -360,12 +369,12 @@ def _long_order(v: Sequence[Array], parameters: int) -> int:
 
 def _innovations(D: Array, C: Array, x: Array) -> Array:
     """Return D/C x from a zero state; a NaN in x counts as 0 and remains NaN in the result."""
-    e = filtered(D, C, np.nan_to_num(x))
+    e = apply_filter(D, C, np.nan_to_num(x))
     e[~np.isfinite(x)] = np.nan
     return e
 
 
-def _solved(blocks: Sequence[Array], y: Sequence[Array]) -> Array:
+def _solve(blocks: Sequence[Array], y: Sequence[Array]) -> Array:
     """Return the least-squares coefficients over the rows in which all columns are known."""
     M, right = np.vstack(blocks), np.concatenate(y)
     rows = complete(M, right)

@@ -17,8 +17,8 @@ from armrig.estimation.state_space_problem import (
     StateSpaceProblem,
     basis_of_states,
     by_part,
-    stacked,
-    whitened,
+    stack_blocks,
+    whiten,
     without,
 )
 from armrig.estimation.state_space_responses import Predictor
@@ -115,8 +115,8 @@ def influence(
     for i, part in enumerate(problem.parts):
         by, free = problem.sensitivities(i, at, V)
         bases.append(basis_of_states(part, free) if states is None else states[i])
-        left.append(without(bases[-1], whitened(part, by)))
-    return stacked(left), tuple(bases)
+        left.append(without(bases[-1], whiten(part, by)))
+    return stack_blocks(left), tuple(bases)
 
 
 def inference(
@@ -134,26 +134,28 @@ def inference(
     basis, ny = orthonormal(Psi), sy.size
     W = basis.W if ny > 1 else basis.W * problem.parts[0].weights.max() / sy
     experiments = []
-    of_parts = zip(problem.parts, states, residuals, data.experiments(), strict=True)
+    experiment_parts = zip(problem.parts, states, residuals, data.experiments(), strict=True)
     split = (by_part(problem.parts, M) for M in (basis.Q, Psi))
-    for (part, Z, e, whole), Q, psi in zip(of_parts, *split, strict=True):
-        late = whole.N - len(e)  # before the delayed inputs are known, the errors are unknown
-        e = np.vstack([np.where(np.isnan(whole.y[:late]), np.nan, 0.0), e * sy])
-        span = np.eye(whole.N, late)
+    for (part, Z, e, signals), Q, psi in zip(experiment_parts, *split, strict=True):
+        late = signals.N - len(e)  # before the delayed inputs are known, the errors are unknown
+        e = np.vstack([np.where(np.isnan(signals.y[:late]), np.nan, 0.0), e * sy])
+        span = np.eye(signals.N, late)
         if ny == 1:
             span = np.hstack([span, _led(Z.Q, late)])
-            of = [OutputResiduals(e=e[:, 0], y=whole.y[:, 0], H=_led(Q, late), Z=span)]
-            experiments.append(of)
+            outputs = [OutputResiduals(e=e[:, 0], y=signals.y[:, 0], H=_led(Q, late), Z=span)]
+            experiments.append(outputs)
             continue
         G = part.weights
         each, white = (M.reshape(ny, len(part.u), -1) for M in (Q, psi))
         unwhitened = np.linalg.inv(G[0]) if part.rows.all() else np.eye(ny)
-        of = []
+        outputs = []
         for i in range(ny):
             h = sum(G[:, k, i, None] * each[k] for k in range(i, ny)) / sy[i]
-            own = _led(sum(unwhitened[i, k] * white[k] for k in range(i + 1)), late)
-            of.append(OutputResiduals(e=e[:, i], y=whole.y[:, i], H=_led(h, late), Psi=own, Z=span))
-        experiments.append(of)
+            Psi_i = _led(sum(unwhitened[i, k] * white[k] for k in range(i + 1)), late)
+            outputs.append(
+                OutputResiduals(e=e[:, i], y=signals.y[:, i], H=_led(h, late), Psi=Psi_i, Z=span)
+            )
+        experiments.append(outputs)
     # The outputs share the states, so that a state counts as 1/ny for each output.
     shared = 0 if ny == 1 else sum(Z.rank for Z in states)
     return infer(

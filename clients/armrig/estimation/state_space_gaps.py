@@ -26,11 +26,11 @@ from armrig.estimation.state_space_problem import (
     stable_matrix,
     tangent,
 )
-from armrig.estimation.state_space_responses import Part, Predictor
+from armrig.estimation.state_space_responses import Predictor, ScaledExperiment
 from armrig.estimation.subspace import Parts
 from armrig.models.innovations_filter import InnovationsFilter, innovations_filter
 from armrig.models.state_space import StateSpace
-from armrig.numerics.covariance import coloured, pairwise_covariance, whitening
+from armrig.numerics.covariance import colour_noise, pairwise_covariance, whitening
 from armrig.numerics.kalman_gains import kalman_gains
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import FIRST_DAMPING, Optimum, levenberg_marquardt
@@ -42,27 +42,29 @@ _MAX_STEPS = 60
 _LIKELIHOOD_TOLERANCE = 1e-2  # change of -2 log likelihood at which the search ends
 
 
-def filtered_parts(signals: Parts, A: Array, C: Array, K: Array, Lambda: Array) -> list[Part]:
+def filter_parts(
+    signals: Parts, A: Array, C: Array, K: Array, Lambda: Array
+) -> list[ScaledExperiment]:
     """Return the parts with the gains G(t) of the Kalman filter, and the roots of inv(S(t))."""
     parts = []
     for part in parts_of(signals, Lambda):
-        of = kalman_gains(A, C, K, Lambda, part.rows)
-        parts.append(replace(part, weights=of.white, gains=of.gain))
+        kalman = kalman_gains(A, C, K, Lambda, part.rows)
+        parts.append(replace(part, weights=kalman.white, gains=kalman.gain))
     return parts
 
 
-def scaled_errors(part: Part, e: Array, Lambda: Array) -> Array:
+def scale_part_errors(part: ScaledExperiment, e: Array, Lambda: Array) -> Array:
     """Return the errors (N, ny) of a filtered part, scaled to the covariance Lambda of e."""
     return _scale_errors(part.rows, part.weights @ np.where(part.rows, e, 0.0)[:, :, None], Lambda)
 
 
 def _scale_errors(rows: Array, white: Array, Lambda: Array) -> Array:
     """Return whitened errors (N, ny, 1) with the covariance Lambda; NaN where y is missing."""
-    return np.where(rows, coloured(rows, white, Lambda)[:, :, 0], np.nan)
+    return np.where(rows, colour_noise(rows, white, Lambda)[:, :, 0], np.nan)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Errors:
+class _WhitenedErrors:
     """Whitened errors of one experiment."""
 
     filter: InnovationsFilter
@@ -89,7 +91,7 @@ class GapProblem:
 
     def errors(
         self, at: Predictor, *, innovations: bool = False
-    ) -> tuple[Array, float, list[_Errors]]:
+    ) -> tuple[Array, float, list[_WhitenedErrors]]:
         """Return the whitened errors, the mean of the log determinants, and both by experiment.
 
         The errors (N ny,) are ordered by experiment and then by output. As `innovations` of the
@@ -99,42 +101,48 @@ class GapProblem:
         """
         system = StateSpace(A=at.A, B=at.B, C=at.C, D=at.D, K=at.K)
         parts = self.problem.parts
-        found = [
+        by_experiment = [
             (not innovations and self._project_part(system, part, x0))
             or self._filter_part(system, part, x0)
             for part, x0 in zip(parts, at.x0, strict=True)
         ]
-        z = np.concatenate([of.z.T.ravel() for of in found])
-        return z, sum(of.log for of in found) / self._count, found
+        z = np.concatenate([of.z.T.ravel() for of in by_experiment])
+        return z, sum(of.log for of in by_experiment) / self._count, by_experiment
 
     @property
     def _count(self) -> int:
         """Number of measured values."""
         return sum(int(part.rows.sum()) for part in self.problem.parts)
 
-    def _filter_part(self, system: StateSpace, part: Part, x0: Array) -> _Errors:
-        own = innovations_filter(system, self.Lambda, part.rows)
+    def _filter_part(
+        self, system: StateSpace, part: ScaledExperiment, x0: Array
+    ) -> _WhitenedErrors:
+        kalman_filter = innovations_filter(system, self.Lambda, part.rows)
         u, y = part.u[:, None], part.y[:, None]
-        x = own.states(u, y, x0[None])
-        z = own.whitened(own.innovations(x, u, y))[:, 0]
-        return _Errors(filter=own, missing=None, y=y, x=x, z=z, log=own.log_det)
+        x = kalman_filter.states(u, y, x0[None])
+        z = kalman_filter.whiten(kalman_filter.innovations(x, u, y))[:, 0]
+        return _WhitenedErrors(
+            filter=kalman_filter, missing=None, y=y, x=x, z=z, log=kalman_filter.log_det
+        )
 
-    def _project_part(self, system: StateSpace, part: Part, x0: Array) -> _Errors | None:
+    def _project_part(
+        self, system: StateSpace, part: ScaledExperiment, x0: Array
+    ) -> _WhitenedErrors | None:
         """Return errors in which the missing samples are projected out; None if that takes long."""
         if part.rows.all() or not system.K.any():
             return None
-        whole, y = replace(part, rows=np.ones_like(part.rows)), part.y.copy()
-        U = whitening(self.Lambda, whole.rows)[0]
+        complete, y = replace(part, rows=np.ones_like(part.rows)), part.y.copy()
+        U = whitening(self.Lambda, complete.rows)[0]
         missing = _missing_samples(system, part.rows, U)
         if missing is None:
             return None
-        y[missing.at] -= missing.values(self._filter_part(system, whole, x0).z[:, None])[:, 0]
-        found = self._filter_part(system, replace(whole, y=y), x0)
+        y[missing.at] -= missing.values(self._filter_part(system, complete, x0).z[:, None])[:, 0]
+        errors = self._filter_part(system, replace(complete, y=y), x0)
         at_once = np.diagonal(part.weights, axis1=1, axis2=2)[part.rows]
         log = missing.log_det + 2 * (np.log(at_once).sum() - len(y) * np.log(np.diag(U)).sum())
-        return replace(found, missing=missing, log=log)
+        return replace(errors, missing=missing, log=log)
 
-    def slopes(self, at: Predictor, errors: Sequence[_Errors]) -> tuple[Array, Array]:
+    def slopes(self, at: Predictor, errors: Sequence[_WhitenedErrors]) -> tuple[Array, Array]:
         """Return the derivatives of the whitened predictions, and of the mean log determinant.
 
         The derivatives are those with respect to the parameters of `directions`, then to the
@@ -144,66 +152,70 @@ class GapProblem:
         by, blocks = self.directions(at), []
         p, n = len(by.A), by.A.shape[1]
         logs = np.zeros(p + n * len(errors))
-        for k, of in enumerate(errors):
-            if of.missing is None:
-                J, log = self._differentiate_filter(k, of, by)
+        for k, experiment in enumerate(errors):
+            if experiment.missing is None:
+                J, log = self._differentiate_filter(k, experiment, by)
             else:
-                J = of.missing.without(self._differentiate_gain(at, k, of)).transpose(1, 2, 0)
-                log = _log_det_slopes(of.missing, of.filter, by)
-            whole = np.zeros((*J.shape[1:], logs.size))
-            whole[:, :, np.r_[:p, p + n * k : p + n * (k + 1)]] = J.transpose(1, 2, 0)
-            blocks.append(whole.reshape(-1, logs.size))
+                J = experiment.missing.without(
+                    self._differentiate_gain(at, k, experiment)
+                ).transpose(1, 2, 0)
+                log = _log_det_slopes(experiment.missing, experiment.filter, by)
+            padded = np.zeros((*J.shape[1:], logs.size))
+            padded[:, :, np.r_[:p, p + n * k : p + n * (k + 1)]] = J.transpose(1, 2, 0)
+            blocks.append(padded.reshape(-1, logs.size))
             logs[:p] += log
         return np.vstack(blocks), logs / self._count
 
-    def _differentiate_filter(self, k: int, of: _Errors, by: Derivatives) -> tuple[Array, Array]:
+    def _differentiate_filter(
+        self, k: int, errors: _WhitenedErrors, by: Derivatives
+    ) -> tuple[Array, Array]:
         """Return the slopes (p + n, ny, N) of experiment k, and of the sum of log determinants."""
-        own, u, n = of.filter, self.problem.parts[k].u, of.x.shape[2]
-        nu = own.innovations(of.x, u[:, None], of.y)[:, 0]
+        kalman_filter, u, n = errors.filter, self.problem.parts[k].u, errors.x.shape[2]
+        nu = kalman_filter.innovations(errors.x, u[:, None], errors.y)[:, 0]
         named = {name: getattr(by, name) for name in "ABCDK"}
-        slope, log = own.derivatives(named, of.x[:, 0], u, nu)
-        still_u, still_y = (np.zeros((len(u), n, x.shape[-1])) for x in (u, of.y))
-        free = own.states(still_u, still_y, np.eye(n))
-        J = np.concatenate([-slope, own.whitened(free @ own.system.C.T)], axis=1)
+        slope, log = kalman_filter.derivatives(named, errors.x[:, 0], u, nu)
+        still_u, still_y = (np.zeros((len(u), n, x.shape[-1])) for x in (u, errors.y))
+        free = kalman_filter.states(still_u, still_y, np.eye(n))
+        J = np.concatenate([-slope, kalman_filter.whiten(free @ kalman_filter.system.C.T)], axis=1)
         return J.transpose(1, 2, 0), log
 
-    def _differentiate_gain(self, at: Predictor, k: int, of: _Errors) -> Array:
+    def _differentiate_gain(self, at: Predictor, k: int, errors: _WhitenedErrors) -> Array:
         """Return the slopes (N, p + n, ny) of experiment k, complete and with a constant gain."""
         part = self.problem.parts[k]
-        filled = replace(part, y=of.y[:, 0], rows=np.ones_like(part.rows))
-        whole, V = replace(self.problem, parts=(filled,)), tangent(at.Abar, at.C)
-        by = whole.sensitivities(0, replace(at, x0=at.x0[k : k + 1]), V)
-        return np.asarray((of.filter.white[0] @ np.concatenate(by)).transpose(2, 0, 1))
+        filled = replace(part, y=errors.y[:, 0], rows=np.ones_like(part.rows))
+        complete, V = replace(self.problem, parts=(filled,)), tangent(at.Abar, at.C)
+        by = complete.sensitivities(0, replace(at, x0=at.x0[k : k + 1]), V)
+        return np.asarray((errors.filter.white[0] @ np.concatenate(by)).transpose(2, 0, 1))
 
     def minimise(self, at: Predictor, *, damping: float) -> tuple[Predictor, Optimum]:
         """Return the predictor after one step of a search, and the result of the step."""
-        at = at.balanced()
+        at = at.balance()
         by = self.directions(at)
         p, n = len(by.A), len(at.Abar)
 
-        def moved(t: Array) -> Predictor:
+        def predictor_at(t: Array) -> Predictor:
             after = by.moved(at, t[:p])
             states = zip(at.x0, t[p:].reshape(-1, n), strict=True)
             return replace(after, x0=tuple(x + change for x, change in states))
 
         def linearise(t: Array) -> tuple[Array, Callable[[], Array]]:
-            z, log, found = self.errors(moved(t))
+            z, log, errors = self.errors(predictor_at(t))
             scale = np.exp(log / 2)
 
             def J() -> Array:  # only at t = 0
-                slope, by_log = self.slopes(at, found)
+                slope, by_log = self.slopes(at, errors)
                 return np.asarray(scale * (slope - 0.5 * np.outer(z, by_log)))
 
             return scale * z, J
 
-        found = levenberg_marquardt(
+        optimum = levenberg_marquardt(
             linearise,
             np.zeros(p + n * len(at.x0)),
-            admissible=lambda t: stable_matrix(moved(t).Abar),
+            admissible=lambda t: stable_matrix(predictor_at(t).Abar),
             damping=damping,
             most=1,
         )
-        return moved(found.theta), found
+        return predictor_at(optimum.theta), optimum
 
     def directions(self, at: Predictor) -> Derivatives:
         """Return the derivatives of the matrices with respect to the parameters of a search.
@@ -227,7 +239,7 @@ class GapProblem:
         ]
 
     def influence(
-        self, at: Predictor, z: Array, errors: Sequence[_Errors]
+        self, at: Predictor, z: Array, errors: Sequence[_WhitenedErrors]
     ) -> tuple[Array, tuple[Basis, ...]]:
         """Return the derivatives of the whitened predictions, and the effects of initial states.
 
@@ -238,9 +250,9 @@ class GapProblem:
         slope, by_log = self.slopes(at, errors)
         J, d = slope - 0.5 * np.outer(z, by_log), len(by.A)
         parts = by_part(self.problem.parts, J)
-        bases = tuple(orthonormal(of[:, d:][:, of[:, d:].any(axis=0)]) for of in parts)
+        bases = tuple(orthonormal(rows[:, d:][:, rows[:, d:].any(axis=0)]) for rows in parts)
         pairs = zip(bases, parts, strict=True)
-        return np.vstack([Z.without(of[:, :d]) for Z, of in pairs]), bases
+        return np.vstack([Z.without(rows[:, :d]) for Z, rows in pairs]), bases
 
 
 def _missing_samples(system: StateSpace, rows: Array, U: Array) -> MissingSamples | None:
@@ -261,12 +273,14 @@ def _missing_samples(system: StateSpace, rows: Array, U: Array) -> MissingSample
     return missing_samples(responses, rows, forward, backward)
 
 
-def _log_det_slopes(missing: MissingSamples, own: InnovationsFilter, by: Derivatives) -> Array:
+def _log_det_slopes(
+    missing: MissingSamples, kalman_filter: InnovationsFilter, by: Derivatives
+) -> Array:
     """Return the derivatives of `missing.log_det` by the parameters of `by`, (p,).
 
     The responses are H_k = -U C M_k with M_1 = K and M_(k+1) = Abar M_k.
     """
-    s, U, L = own.system, own.white[0], len(missing.H) - 1
+    s, U, L = kalman_filter.system, kalman_filter.white[0], len(missing.H) - 1
     p, n, ny = by.K.shape
     Abar = s.A - s.K @ s.C
     M = recursion(Abar, np.zeros((L, ny, n)), s.K.T)[:L]
@@ -297,17 +311,19 @@ class GapSearch:
     """True if the likelihood no longer changed at the end of the search."""
 
 
-def searched(problem: StateSpaceProblem, signals: Parts, at: Predictor, Lambda: Array) -> GapSearch:
+def search_with_gaps(
+    problem: StateSpaceProblem, signals: Parts, at: Predictor, Lambda: Array
+) -> GapSearch:
     """Search from the predictor `at`, and estimate Lambda again after every step."""
 
-    def weighted(Lambda: Array) -> GapProblem:
+    def problem_for(Lambda: Array) -> GapProblem:
         return GapProblem(problem=replace(problem, parts=parts_of(signals, Lambda)), Lambda=Lambda)
 
-    own, damping, iterations = weighted(Lambda), FIRST_DAMPING, 0
+    gap_problem, damping, iterations = problem_for(Lambda), FIRST_DAMPING, 0
     moved, values = True, [np.inf]
     while True:
-        z, log, errors = own.errors(at, innovations=True)
-        residuals = own.residuals(z)
+        z, log, errors = gap_problem.errors(at, innovations=True)
+        residuals = gap_problem.residuals(z)
         e = np.vstack(residuals)
         Lambda = pairwise_covariance(e)
         log_det = np.linalg.slogdet(Lambda)[1] / len(Lambda)
@@ -315,14 +331,14 @@ def searched(problem: StateSpaceProblem, signals: Parts, at: Predictor, Lambda: 
         converged = moved and abs(values[-2] - values[-1]) <= _LIKELIHOOD_TOLERANCE
         if converged or iterations == _MAX_STEPS:
             break
-        own = weighted(Lambda)
-        at, found = own.minimise(at, damping=damping)
+        gap_problem = problem_for(Lambda)
+        at, optimum = gap_problem.minimise(at, damping=damping)
         # A rejected step does not move; the next one is shorter.
-        iterations, damping = iterations + 1, found.damping
-        moved = bool(found.converged or found.theta.any())
-    Psi, states = own.influence(at, z, errors)
+        iterations, damping = iterations + 1, optimum.damping
+        moved = bool(optimum.converged or optimum.theta.any())
+    Psi, states = gap_problem.influence(at, z, errors)
     return GapSearch(
-        problem=own,
+        problem=gap_problem,
         predictor=at,
         residuals=residuals,
         Psi=Psi,

@@ -22,13 +22,13 @@ from armrig_core.errors import InputError
 
 from armrig.data.dataset import Signals
 from armrig.estimation.state_space_responses import (
-    Part,
     Predictor,
+    ScaledExperiment,
     entries,
-    held_free_responses,
-    held_responses,
+    free_responses_with_gaps,
     offsets,
     output_normal,
+    responses_with_gaps,
     state_responses,
 )
 from armrig.numerics.checks import require_integers
@@ -60,7 +60,7 @@ class Linear:
 class StateSpaceProblem:
     """Search for Abar, C and all linear parameters that minimise the sum of e^T inv(Lambda) e."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[ScaledExperiment, ...]
     """Signals of each experiment."""
     order: int
     """Number of states."""
@@ -73,7 +73,7 @@ class StateSpaceProblem:
     gain: Array | None = None
     """Given K (n, ny), if K is not estimated and not 0."""
 
-    def linear(self, Abar: Array, C: Array, given: tuple[Array, Array] | None = None) -> Linear:
+    def linear(self, Abar: Array, C: Array, Bbar_D: tuple[Array, Array] | None = None) -> Linear:
         """Return the linear parameters by least squares; Bbar and D may be given."""
         n, (ny, _) = self.order, C.shape
         nu = self.parts[0].u.shape[1]
@@ -84,15 +84,15 @@ class StateSpaceProblem:
             driven, free = self._responses(part, bare, signals)
             Z = basis_of_states(part, free)
             left_over = part.y if self.gain is None else part.y - bare.predicted(part, 0)
-            both = whitened(part, np.concatenate([driven, left_over.T[None]]))
+            both = whiten(part, np.concatenate([driven, left_over.T[None]]))
             states.append(Z)
             raw.append(both)
             left.append(without(Z, both))
-        both = stacked(left)
+        both = stack_blocks(left)
         basis, right = orthonormal(both[:, :-1]), both[:, -1]
         theta = basis.coefficients(right)
-        if given is not None:
-            theta = np.concatenate([given[0].T.ravel(), given[1].ravel()[: theta.size - n * nu]])
+        if Bbar_D is not None:
+            theta = np.concatenate([Bbar_D[0].T.ravel(), Bbar_D[1].ravel()[: theta.size - n * nu]])
         signals = theta[: n * (nu + ny * self.noise)].reshape(-1, n).T
         D = theta[signals.size :].reshape(ny, nu) if self.direct else np.zeros((ny, nu))
         first = [
@@ -109,7 +109,7 @@ class StateSpaceProblem:
         return Linear(at=at, basis=basis, states=tuple(states), e=basis.without(right))
 
     def _responses(
-        self, part: Part, at: Predictor, signals: Array, moved: tuple[Array, ...] = ()
+        self, part: ScaledExperiment, at: Predictor, signals: Array, moved: tuple[Array, ...] = ()
     ) -> tuple[Array, Array]:
         """Return the responses (k, ny, N) to (Abar, C) and the parameters, and to the state."""
         (n, ny), of_D = at.K.shape, part.u if self.direct else None
@@ -117,15 +117,17 @@ class StateSpaceProblem:
             driven, free = state_responses(signals, at.Abar, at.C, direct=of_D)
             if self.level:
                 free = np.concatenate([free, offsets(at.Abar, at.C, len(part.u))])
-            return np.concatenate([_moved(at, *moved), driven]) if moved else driven, free
+            return np.concatenate(
+                [_derivatives_along(at, *moved), driven]
+            ) if moved else driven, free
         w, at_once = entries(signals, n, of_D, ny)
         if moved:
             x, directions = moved
             by_A, by_C = np.split(directions.T, [n * n], axis=1)
             w = np.concatenate([x @ by_A.reshape(-1, n, n).swapaxes(1, 2), w])
             at_once = np.concatenate([x @ by_C.reshape(-1, ny, n).swapaxes(1, 2), at_once])
-        by = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
-        return by.transpose(1, 2, 0), held_free_responses(part, at, level=self.level)
+        by = responses_with_gaps(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
+        return by.transpose(1, 2, 0), free_responses_with_gaps(part, at, level=self.level)
 
     def _bare(self, Abar: Array, C: Array) -> Predictor:
         """Return the predictor with the given gain whose other linear parameters are 0."""
@@ -134,7 +136,7 @@ class StateSpaceProblem:
         x0 = (np.zeros(n),) * len(self.parts)
         return Predictor(Abar=Abar, Bbar=np.zeros((n, nu)), C=C, D=np.zeros((ny, nu)), K=K, x0=x0)
 
-    def linearised(self, Abar: Array, C: Array, directions: Array) -> tuple[Linear, Array]:
+    def linearise_along(self, Abar: Array, C: Array, directions: Array) -> tuple[Linear, Array]:
         """Return the linear part, and the derivatives of the whitened predictions.
 
         The derivatives are those in the directions (n (n + ny), k) of Abar, then of C, each row by
@@ -144,8 +146,8 @@ class StateSpaceProblem:
         at = linear.at
         for part, x0, Z in zip(self.parts, at.x0, linear.states, strict=True):
             x = _states(at, part.u @ at.Bbar.T + part.y @ at.K.T, x0)
-            J.append(without(Z, whitened(part, _moved(at, x, directions))))
-        return linear, without(linear.basis, stacked(J))
+            J.append(without(Z, whiten(part, _derivatives_along(at, x, directions))))
+        return linear, without(linear.basis, stack_blocks(J))
 
     def sensitivities(self, i: int, at: Predictor, directions: Array) -> tuple[Array, Array]:
         """Return the derivatives (d, ny, N) of yhat in experiment i, and the other responses.
@@ -175,17 +177,17 @@ class StateSpaceProblem:
 
         def linearise(t: Array) -> tuple[Array, Array]:
             A, c = at(t)
-            linear, J = self.linearised(A, c, V)
+            linear, J = self.linearise_along(A, c, V)
             last.clear()
             last[t.tobytes()] = linear
             return linear.e, J
 
-        found = levenberg_marquardt(
+        optimum = levenberg_marquardt(
             linearise, np.zeros(V.shape[1]), admissible=lambda t: stable_matrix(at(t)[0]), most=most
         )
-        Abar, C = at(found.theta)
-        linear = last.get(found.theta.tobytes()) or self.linear(Abar, C)
-        return Abar, C, linear, found
+        Abar, C = at(optimum.theta)
+        linear = last.get(optimum.theta.tobytes()) or self.linear(Abar, C)
+        return Abar, C, linear, optimum
 
     def residuals(self, at: Predictor) -> list[Array]:
         """Return e (N, ny) of each experiment, NaN where an output is missing."""
@@ -204,7 +206,7 @@ def _states(at: Predictor, w: Array, x0: Array) -> Array:
     return x
 
 
-def _moved(at: Predictor, x: Array, directions: Array) -> Array:
+def _derivatives_along(at: Predictor, x: Array, directions: Array) -> Array:
     """Return the derivatives (k, ny, N) of yhat in directions of Abar and C, for the states x."""
     n, ny = at.K.shape
     by_A, by_C = np.split(directions.T, [n * n], axis=1)
@@ -216,7 +218,7 @@ def _moved(at: Predictor, x: Array, directions: Array) -> Array:
     return np.asarray(moved + by_C @ x.T if by_C.any() else moved)
 
 
-def whitened(part: Part, columns: Array) -> Array:
+def whiten(part: ScaledExperiment, columns: Array) -> Array:
     """Return the whitened columns (k, ny, N) as a matrix (ny N, k), rows ordered by output."""
     k, ny, N = columns.shape
     if ny == 1:
@@ -228,16 +230,16 @@ def whitened(part: Part, columns: Array) -> Array:
     return np.asarray(white.reshape(k, ny * N).T)
 
 
-def basis_of_states(part: Part, free: Array) -> Basis:
+def basis_of_states(part: ScaledExperiment, free: Array) -> Basis:
     """Return the basis of the whitened responses (k, ny, N) to the initial state and to offsets."""
-    Z = whitened(part, free)
+    Z = whiten(part, free)
     used = np.flatnonzero(Z.any(axis=1))
     last = used[-1] + 1 if used.size else 0  # the rows after it have settled to 0
     basis = orthonormal(Z[:last])
     return basis if last == len(Z) else basis.spread(np.arange(len(Z)) < last)
 
 
-def by_part(parts: Sequence[Part], M: Array) -> list[Array]:
+def by_part(parts: Sequence[ScaledExperiment], M: Array) -> list[Array]:
     """Return the rows of M (ny N, k) that belong to each experiment."""
     return np.split(M, np.cumsum([part.y.size for part in parts])[:-1])
 
@@ -247,7 +249,7 @@ def without(basis: Basis, M: Array) -> Array:
     return np.asarray(M - ((M.T @ basis.Q) @ basis.Q.T).T)
 
 
-def stacked(blocks: Sequence[Array]) -> Array:
+def stack_blocks(blocks: Sequence[Array]) -> Array:
     """Return the blocks stacked vertically, in column-major order."""
     return blocks[0] if len(blocks) == 1 else np.hstack([block.T for block in blocks]).T
 
@@ -257,7 +259,7 @@ def stable_matrix(A: Array) -> bool:
     return bool(np.isfinite(A).all() and np.max(np.abs(np.linalg.eigvals(A))) < _MAX_MODULUS)
 
 
-def reflected_matrix(A: Array, largest: float = 0.995) -> Array:
+def reflect_eigenvalues(A: Array, largest: float = 0.995) -> Array:
     """Return A, for a start value, with all eigenvalues moved into the unit circle."""
     z, V = np.linalg.eig(A)
     size = np.abs(z)
@@ -290,17 +292,17 @@ def tangent(A: Array, C: Array) -> Array:
 
 def delays_of(nk: int | Sequence[int], data: Signals) -> tuple[int, ...]:
     """Return the delay of each input."""
-    given = (nk,) * data.nu if isinstance(nk, int) else tuple(nk)
-    if len(given) != data.nu:
+    delays = (nk,) * data.nu if isinstance(nk, int) else tuple(nk)
+    if len(delays) != data.nu:
         raise InputError(f"nk={nk!r}: {data.nu} delays are needed, one for each input")
-    for value in given:
+    for value in delays:
         require_integers(nk=(value, 0))
-    if min(given) == 0 < max(given):
+    if min(delays) == 0 < max(delays):
         raise InputError(f"nk={nk!r}: a direct term needs nk=0 for all inputs")
-    return given
+    return delays
 
 
-def scaled_signals(
+def scale_signals(
     data: Signals, delays: tuple[int, ...]
 ) -> tuple[list[tuple[Array, Array]], Array, Array]:
     """Return scaled and delayed u and y of each experiment, and the scales of u and of y."""
@@ -322,10 +324,10 @@ def _scale(columns: Array) -> Array:
     return np.where(std > 0, std, 1.0)
 
 
-def parts_of(signals: Sequence[tuple[Array, Array]], Lambda: Array) -> tuple[Part, ...]:
+def parts_of(signals: Sequence[tuple[Array, Array]], Lambda: Array) -> tuple[ScaledExperiment, ...]:
     """Return the signals of each experiment, with the whitening matrices for Lambda."""
     masks = [np.isfinite(y) for _, y in signals]
     return tuple(
-        Part(u=u, y=np.where(m, y, 0.0), rows=m, weights=whitening(Lambda, m))
+        ScaledExperiment(u=u, y=np.where(m, y, 0.0), rows=m, weights=whitening(Lambda, m))
         for (u, y), m in zip(signals, masks, strict=True)
     )

@@ -20,7 +20,7 @@ _EIGENVALUE_TOLERANCE = 1e-10  # singular value of 1 - Abar that shows the eigen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class ScaledExperiment:
     """Scaled signals of one experiment."""
 
     u: Array
@@ -59,7 +59,7 @@ class Predictor:
     levels: tuple[Array, ...] = ()
     """Coefficients of the `offsets` of each experiment; () without offsets."""
 
-    def predicted(self, part: Part, i: int) -> Array:
+    def predicted(self, part: ScaledExperiment, i: int) -> Array:
         """Return yhat (N, ny) of experiment i; the error of a missing output is 0."""
         w, v, N = part.u @ self.Bbar.T, part.u @ self.D.T, len(part.u)
         if part.rows.all() or not self.K.any():
@@ -69,7 +69,7 @@ class Predictor:
             return np.asarray(outputs(self.Abar, self.C, fed, self.x0[i]) + v)
         v = v + self.levels[i] if self.levels else v
         w = w + (part.gains_of(self.K) @ part.y[:, :, None])[:, :, 0]
-        return held_responses(part, self, w[:, None], v[:, None], self.x0[i][None])[:, 0]
+        return responses_with_gaps(part, self, w[:, None], v[:, None], self.x0[i][None])[:, 0]
 
     @property
     def A(self) -> Array:
@@ -89,13 +89,13 @@ class Predictor:
 
     def impulses(self, length: int) -> Array:
         """Return the impulse responses from u and e, of `length` samples each, as a vector."""
-        A, x, found = self.A, np.hstack([self.B, self.K]), [self.D.ravel()]
+        A, x, samples = self.A, np.hstack([self.B, self.K]), [self.D.ravel()]
         for _ in range(length):
-            found.append((self.C @ x).ravel())
+            samples.append((self.C @ x).ravel())
             x = A @ x
-        return np.concatenate(found)
+        return np.concatenate(samples)
 
-    def balanced(self) -> Predictor:
+    def balance(self) -> Predictor:
         """Return this predictor in the coordinates of `output_normal`."""
         T, inverse = _balancing(self.Abar, self.C)
         return Predictor(
@@ -154,8 +154,8 @@ def entries(signals: Array, n: int, direct: Array | None, ny: int) -> tuple[Arra
     )
 
 
-def held_responses(
-    part: Part, at: Predictor, w: Array, at_once: Array, x0: Array | None = None
+def responses_with_gaps(
+    part: ScaledExperiment, at: Predictor, w: Array, at_once: Array, x0: Array | None = None
 ) -> Array:
     """Return responses (N, k, ny) of the predictor if outputs are missing.
 
@@ -173,14 +173,14 @@ def held_responses(
     return np.asarray(x @ at.C.T + at_once)
 
 
-def held_free_responses(part: Part, at: Predictor, *, level: bool) -> Array:
+def free_responses_with_gaps(part: ScaledExperiment, at: Predictor, *, level: bool) -> Array:
     """Return the `held_responses` (k, ny, N) to the initial state, and to constants (`level`)."""
     (n, ny), N = at.K.shape, len(part.u)
     k = n + ny * level
     at_once = np.zeros((N, k, ny))
     at_once[:, n:] = np.eye(ny)[: k - n]
-    found = held_responses(part, at, np.zeros((N, k, n)), at_once, np.eye(k, n))
-    return np.asarray(found.transpose(1, 2, 0))
+    free = responses_with_gaps(part, at, np.zeros((N, k, n)), at_once, np.eye(k, n))
+    return np.asarray(free.transpose(1, 2, 0))
 
 
 def output_normal(A: Array, C: Array) -> tuple[Array, Array]:

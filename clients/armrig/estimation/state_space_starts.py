@@ -7,15 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.estimation.state_space_problem import StateSpaceProblem, reflected_matrix, stable_matrix
+from armrig.estimation.state_space_problem import (
+    StateSpaceProblem,
+    reflect_eigenvalues,
+    stable_matrix,
+)
 from armrig.estimation.subspace import (
     complete_stretches,
     long_regression,
     projection,
-    realised,
+    realise,
     windows,
 )
-from armrig.models.innovations import interpolated
+from armrig.models.innovations import interpolate
 from armrig.numerics.polynomial import Array
 
 _MIN_LAGS = 10
@@ -29,34 +33,34 @@ def starts(
     """Return the pairs (Abar, C) of subspace estimates and of reduced ARX models, by name."""
     n = problem.order
     ny = signals[0][1].shape[1]
-    signals = [(u, np.apply_along_axis(interpolated, 0, y)) for u, y in signals]
-    found: dict[str, tuple[Array, Array]] = {}
+    signals = [(u, np.apply_along_axis(interpolate, 0, y)) for u, y in signals]
+    pairs: dict[str, tuple[Array, Array]] = {}
     N = sum(u.shape[0] for u, _ in signals)
     width = signals[0][0].shape[1] + ny
     most = max(N // (6 * width), 1)
     for horizon in dict.fromkeys(
         max(min(h, most), -(-n // ny) + 1) for h in (n + 2, max(_MIN_LAGS, 2 * n + 2))
     ):
-        whole = complete_stretches(signals, 4 * horizon)
-        if not whole:
+        stretches = complete_stretches(signals, 4 * horizon)
+        if not stretches:
             continue
-        w = windows(whole, past=horizon, future=horizon)
+        w = windows(stretches, past=horizon, future=horizon)
         for weights in ("cva", "moesp"):
-            space = realised(w, projection(w, weights), n)
+            space = realise(w, projection(w, weights), n)
             Abar = space.A - space.gain() @ space.C if problem.noise else space.A
-            found[f"n4sid, {weights}, horizon {horizon}"] = (Abar, space.C)
+            pairs[f"n4sid, {weights}, horizon {horizon}"] = (Abar, space.C)
     for lags in dict.fromkeys(max(min(k, most), n + 1) for k in (2 * n + 2, 4 * n + 10)):
-        whole = complete_stretches(signals, 2 * lags)
-        if not whole:
+        stretches = complete_stretches(signals, 2 * lags)
+        if not stretches:
             continue
-        psi = long_regression(whole, lags, direct=problem.direct)
+        psi = long_regression(stretches, lags, direct=problem.direct)
         if not problem.noise:
-            psi = _simulated_impulses(psi, signals[0][0].shape[1], 2 * lags)
-        found[f"ARX of order {lags}"] = _from_impulses(psi, n)
+            psi = _simulate_impulses(psi, signals[0][0].shape[1], 2 * lags)
+        pairs[f"ARX of order {lags}"] = _from_impulses(psi, n)
     stable = {
-        name: (reflected_matrix(Abar), C)
-        for name, (Abar, C) in found.items()
-        if np.isfinite(C).all() and stable_matrix(reflected_matrix(Abar))
+        name: (reflect_eigenvalues(Abar), C)
+        for name, (Abar, C) in pairs.items()
+        if np.isfinite(C).all() and stable_matrix(reflect_eigenvalues(Abar))
     }
     if not stable:
         raise InputError(
@@ -65,7 +69,7 @@ def starts(
     return stable
 
 
-def moved_modes(
+def starts_with_moved_eigenvalue(
     problem: StateSpaceProblem, Abar: Array, C: Array
 ) -> dict[str, tuple[Array, Array]]:
     """Return start values (Abar, C) in which one weak mode has another frequency.
@@ -81,7 +85,7 @@ def moved_modes(
     modes = [(int(i), int(np.argmin(np.abs(z - z[i].conj())))) for i in np.flatnonzero(z.imag > 0)]
     modes += list(zip(real[::2], real[1::2], strict=False))
     modes.sort(key=lambda mode: float(strength[list(mode)].max()))
-    found = {}
+    pairs = {}
     for i, k in modes[:_MOVED_MODES]:
         others = np.delete(z, [i, k])
         angles = np.sort(np.concatenate([[0.0, np.pi], np.abs(np.angle(others))]))
@@ -94,11 +98,11 @@ def moved_modes(
         vectors[:, i], vectors[:, k] = first, first.conj()
         moved = np.real(vectors @ np.diag(eigenvalues) @ np.linalg.inv(vectors))
         if stable_matrix(moved):
-            found[f"mode at {abs(np.angle(z[i])):.2f} moved to {omega:.2f} rad"] = (moved, C)
-    return found
+            pairs[f"mode at {abs(np.angle(z[i])):.2f} moved to {omega:.2f} rad"] = (moved, C)
+    return pairs
 
 
-def _simulated_impulses(psi: Array, nu: int, length: int) -> Array:
+def _simulate_impulses(psi: Array, nu: int, length: int) -> Array:
     """Return the responses (length, ny, nu) from u to y, given the predictor's responses psi."""
     lags, ny, _ = psi.shape
     g = np.zeros((length, ny, nu))

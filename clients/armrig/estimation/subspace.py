@@ -37,7 +37,7 @@ from armrig.numerics.least_squares import (
     triangle,
     without_span,
 )
-from armrig.numerics.polynomial import Array, lagged
+from armrig.numerics.polynomial import Array, lag_columns
 from armrig.numerics.regressors import in_blocks
 from armrig.numerics.stretches import stretches
 
@@ -73,9 +73,9 @@ class Windows:
 def _columns(f: int, p: int, nu: int, ny: int, names: tuple[str, ...]) -> Integers:
     widths = {"uf": f * nu, "up": p * nu, "yp": p * ny, "yf": f * ny}
     begins = dict(zip(widths, np.cumsum([0, *widths.values()]).tolist(), strict=False))
-    found = np.concatenate([begins[name] + np.arange(widths[name]) for name in names])
-    found.flags.writeable = False
-    return found
+    columns = np.concatenate([begins[name] + np.arange(widths[name]) for name in names])
+    columns.flags.writeable = False
+    return columns
 
 
 def windows(parts: Parts, *, past: int, future: int, most: int | None = None) -> Windows:
@@ -88,20 +88,20 @@ def windows(parts: Parts, *, past: int, future: int, most: int | None = None) ->
     length = past + future
     (u, y), *_ = parts
     nu, m = u.shape[1], u.shape[1] + y.shape[1]
-    whole = _centred([np.hstack(part) for part in complete_stretches(parts, length, most)])
-    N = sum(x.shape[0] - length + 1 for x in whole)
+    signals = _centre([np.hstack(part) for part in complete_stretches(parts, length, most)])
+    N = sum(x.shape[0] - length + 1 for x in signals)
     at = np.arange(m * length).reshape(m, length).T  # instant after instant
     order = np.concatenate(
         [at[past:, :nu], at[:past, :nu], at[:past, nu:], at[past:, nu:]], axis=None
     )
     G, total = np.zeros((at.size, at.size)), np.zeros(at.size)
-    for M in _blocks(whole, length):
+    for M in _blocks(signals, length):
         G += M.T @ M
         total += M.sum(axis=0)
     G -= np.outer(total, total) / max(N, 1)
     R = cholesky_factor(G[np.ix_(order, order)])
     if R is None:
-        ordered = (np.insert(M[:, order], 0, 1.0, axis=1) for M in _blocks(whole, length))
+        ordered = (np.insert(M[:, order], 0, 1.0, axis=1) for M in _blocks(signals, length))
         R = np.triu(triangle(ordered, 1 + order.size))[1:, 1:]
     return Windows(R=R, past=past, future=future, N=N, nu=nu, ny=m - nu)
 
@@ -120,7 +120,7 @@ def complete_stretches(
     return runs
 
 
-def _centred(parts: list[Array]) -> list[Array]:
+def _centre(parts: list[Array]) -> list[Array]:
     """Return the signals (N, m) minus their means over all parts, which keeps more digits."""
     if not parts:
         return []
@@ -135,7 +135,7 @@ def _blocks(parts: list[Array], length: int) -> Iterator[Array]:
             yield block.reshape(len(block), -1)
 
 
-def shortened(w: Windows, samples: int) -> Windows:
+def shorten_windows(w: Windows, samples: int) -> Windows:
     """Return the windows of the same instants, shortened to `samples` past and future samples."""
     nu, ny = samples * w.nu, samples * w.ny
     uf, up, yp, yf = (w.columns(name) for name in ("uf", "up", "yp", "yf"))
@@ -158,15 +158,15 @@ def autoregressive_order(w: Windows) -> int:
     return int(n[np.argmin(aic(losses, n * (w.nu + w.ny) * w.ny, w.N))])
 
 
-def _losses(M: Array, w: Windows, known: Integers) -> Array:
+def _losses(M: Array, w: Windows, counts: Integers) -> Array:
     """Return det of the mean of e e^T, for y regressed on `known` first columns of M = [X Y]."""
     y = np.asarray(np.linalg.qr(M, mode="r"))[:, -w.ny :]
     sums = np.cumsum((y[:, :, None] * y[:, None, :])[::-1], axis=0)[::-1]
-    return np.asarray(np.linalg.det(sums[known] / w.N))
+    return np.asarray(np.linalg.det(sums[counts] / w.N))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Projection:
+class SubspaceProjection:
     """Projection of the future outputs on the past, for given future inputs."""
 
     H: Array
@@ -178,7 +178,7 @@ class Projection:
     """Singular values (f ny,); with "cva" the canonical correlations of past and future."""
 
 
-def projection(w: Windows, weights: Weights) -> Projection:
+def projection(w: Windows, weights: Weights) -> SubspaceProjection:
     """Return the singular value decomposition of the weighted projection."""
     f, past, future = w.future * w.nu, w.columns("up", "yp"), w.columns("yf")
     R12, R22 = w.R[:f, past], w.R[f : f + past.size, past]
@@ -195,7 +195,7 @@ def projection(w: Windows, weights: Weights) -> Projection:
         U, sigma, _ = np.linalg.svd(R23.T, full_matrices=False)
     else:
         U, sigma, _ = np.linalg.svd(H @ np.hstack([R12.T, R22.T]), full_matrices=False)
-    return Projection(H=H, U=U, singular_values=sigma)
+    return SubspaceProjection(H=H, U=U, singular_values=sigma)
 
 
 def visible_states(w: Windows) -> int:
@@ -205,17 +205,17 @@ def visible_states(w: Windows) -> int:
     return int(np.count_nonzero(values > _SINGULAR_VALUE_ROUNDING * values[0]))
 
 
-def one_step_losses(w: Windows, found: Projection, most: int) -> Array:
+def one_step_losses(w: Windows, decomposition: SubspaceProjection, most: int) -> Array:
     """Return the losses of the one-step errors of models with 1 … `most` states, (most,).
 
     The n states are the components of H W_p along the first n singular vectors.
     """
     y, now = w.R[:, w.columns("yf")[: w.ny]], w.R[:, w.columns("uf")[: w.nu]]
-    states = w.R[:, w.columns("up", "yp")] @ (found.H.T @ found.U[:, :most])
+    states = w.R[:, w.columns("up", "yp")] @ (decomposition.H.T @ decomposition.U[:, :most])
     return _losses(np.column_stack([now, states, y]), w, w.nu + np.arange(1, most + 1))
 
 
-def suggested_order(w: Windows, found: Projection, most: int) -> int:
+def order_by_mdl(w: Windows, decomposition: SubspaceProjection, most: int) -> int:
     """Return the order that minimises MDL of the one-step loss.
 
     A state has nu + 2 ny parameters, in B, K and the observable form of A and C. In 120 trials
@@ -223,7 +223,9 @@ def suggested_order(w: Windows, found: Projection, most: int) -> int:
     MDL chose the true order in 110 trials, and Bauer's criterion [3]_ in 62 trials.
     """
     n = np.arange(1, most + 1)
-    return 1 + int(np.argmin(mdl(one_step_losses(w, found, most), n * (w.nu + 2 * w.ny), w.N)))
+    return 1 + int(
+        np.argmin(mdl(one_step_losses(w, decomposition, most), n * (w.nu + 2 * w.ny), w.N))
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -282,20 +284,20 @@ class Realisation:
         return np.asarray(K)
 
 
-def realised(w: Windows, found: Projection, n: int) -> Realisation:
+def realise(w: Windows, decomposition: SubspaceProjection, n: int) -> Realisation:
     """Return A, C and the covariance of the noise for n states.
 
     A is computed from the shift invariance of the observability matrix. The covariance is that of
     the residuals of a regression of x(t + 1) and y(t) on x(t) and u, with projected states x.
     """
     ny, nu = w.ny, w.nu
-    Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])
+    Gamma = decomposition.U[:, :n] * np.sqrt(decomposition.singular_values[:n])
     shift = np.linalg.pinv(Gamma[:-ny])
     uf, yf = w.columns("uf"), w.columns("yf")
-    X = w.R[:, w.columns("up", "yp")] @ np.linalg.lstsq(Gamma, found.H, rcond=None)[0].T
+    X = w.R[:, w.columns("up", "yp")] @ np.linalg.lstsq(Gamma, decomposition.H, rcond=None)[0].T
     later = np.concatenate([w.columns("up"), uf[:nu], w.columns("yp"), yf[:ny]])
-    known = w.R[:, np.concatenate([uf[nu:], later])]
-    coefficients = least_squares(known, w.R[:, yf[ny:]])
+    regressors = w.R[:, np.concatenate([uf[nu:], later])]
+    coefficients = least_squares(regressors, w.R[:, yf[ny:]])
     ahead = w.R[:, later] @ coefficients[uf.size - nu :]
     left = np.column_stack([ahead @ shift.T, w.R[:, yf[:ny]]])
     rho = without_span(np.hstack([X, w.R[:, uf]]), left)
@@ -308,7 +310,7 @@ def long_regression(parts: Parts, lags: int, *, direct: bool) -> Array:
     blocks, right = [], []
     for u, y in parts:
         s = np.hstack([u, y])
-        past = np.stack([lagged(x, range(1, lags + 1)) for x in s.T], axis=-1)
+        past = np.stack([lag_columns(x, range(1, lags + 1)) for x in s.T], axis=-1)
         now = [np.ones((len(y), 1)), *([u] if direct else [])]
         blocks.append(np.hstack([*now, past.reshape(len(y), -1)])[lags:])
         right.append(y[lags:])

@@ -10,29 +10,29 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.estimation.problem import UnitCircle
-from armrig.estimation.stability import stabilised
+from armrig.estimation.stability import stabilise
 from armrig.estimation.start_values import noise_start
-from armrig.estimation.state_space_gaps import filtered_parts, scaled_errors
+from armrig.estimation.state_space_gaps import filter_parts, scale_part_errors
 from armrig.estimation.state_space_problem import StateSpaceProblem, directions, parts_of
-from armrig.estimation.state_space_responses import Part, Predictor
-from armrig.estimation.subspace import Parts, projection, suggested_order, visible_states
+from armrig.estimation.state_space_responses import Predictor, ScaledExperiment
+from armrig.estimation.subspace import Parts, order_by_mdl, projection, visible_states
 from armrig.estimation.subspace_horizon import (
     MIN_HORIZON,
-    Innovations,
+    InnovationsForm,
     best_innovations,
     companion,
     innovations_at,
     usable_windows,
 )
-from armrig.models.innovations import interpolated
+from armrig.models.innovations import interpolate
 from armrig.models.structure_table import Weights
 from armrig.numerics.covariance import pairwise_covariance, patterns
 from armrig.numerics.least_squares import Basis
 from armrig.numerics.levenberg_marquardt import levenberg_marquardt
 from armrig.numerics.polynomial import (
     Array,
-    filtered,
-    reflected,
+    apply_filter,
+    reflect_roots,
     without_integrator,
 )
 from armrig.numerics.quantities import plural
@@ -61,7 +61,7 @@ class SubspaceOptions:
 class SubspaceEstimate:
     """Estimate of all matrices."""
 
-    model: Innovations
+    model: InnovationsForm
     """A, C and K."""
     free: Array
     """A before the option `stable` reflected its poles."""
@@ -75,7 +75,7 @@ class SubspaceEstimate:
     """One-step errors (N, ny) of each experiment, NaN where y is missing."""
     canonical_correlations: Array
     suggested_order: int
-    parts: tuple[Part, ...]
+    parts: tuple[ScaledExperiment, ...]
     """Signals of each experiment; with the gains of a Kalman filter if an output is missing."""
     Lambda: Array | None = None
     """Covariance of e that the Kalman filter assumes."""
@@ -83,102 +83,102 @@ class SubspaceEstimate:
     """True if the estimates of the missing outputs did not change in the last pass."""
 
 
-def estimated(signals: Parts, options: SubspaceOptions) -> SubspaceEstimate:
+def estimate_subspace_model(signals: Parts, options: SubspaceOptions) -> SubspaceEstimate:
     """Return the estimate from the windows, in which missing outputs are estimated as well.
 
     Interpolated values of the missing outputs are replaced by the model's predictions, and the
     model is estimated again, until they change by less than std(e)/sqrt(N). If they do not settle,
     the model with the least errors is returned.
     """
-    known = _bridged(signals, options.horizon or MIN_HORIZON)
+    filled = _bridge_gaps(signals, options.horizon or MIN_HORIZON)
     least = np.inf
     for _ in range(MAX_PASSES):
-        found = _from_windows(signals, known, options)
-        e = np.vstack(found.errors)
-        before = np.vstack([y for _, y in known])
-        estimated = np.isnan(e) & np.isfinite(before)
-        if not estimated.any():
+        estimate = _from_windows(signals, filled, options)
+        e = np.vstack(estimate.errors)
+        before = np.vstack([y for _, y in filled])
+        replaced = np.isnan(e) & np.isfinite(before)
+        if not replaced.any():
             break
         loss = float(np.nanmean(e**2))
         if loss < least:
-            least, best = loss, found
+            least, best = loss, estimate
         Lambda = pairwise_covariance(e)
-        known = [
+        filled = [
             (u, np.where(np.isnan(y), np.nan, at + _conditional(x, Lambda)))
-            for (u, y), at, x in zip(known, found.predicted, found.errors, strict=True)
+            for (u, y), at, x in zip(filled, estimate.predicted, estimate.errors, strict=True)
         ]
-        change = (np.vstack([y for _, y in known]) - before)[estimated]
+        change = (np.vstack([y for _, y in filled]) - before)[replaced]
         if np.mean(change**2) <= loss / len(e):
             break
     else:
-        found = replace(best, settled=False)
-    return filtered_estimate(signals, found, options)
+        estimate = replace(best, settled=False)
+    return filter_estimate(signals, estimate, options)
 
 
-def filtered_estimate(
+def filter_estimate(
     signals: Parts,
-    found: SubspaceEstimate,
+    estimate: SubspaceEstimate,
     options: SubspaceOptions,
-    given: tuple[Array, Array] | None = None,
+    B_D: tuple[Array, Array] | None = None,
 ) -> SubspaceEstimate:
     """Return the estimate with a Kalman filter after each missing output.
 
     The errors are scaled, so that each error has the variance of an error without missing outputs.
     """
-    model, e = found.model, np.vstack(found.errors)
+    model, e = estimate.model, np.vstack(estimate.errors)
     if np.isfinite(e).all() or not model.K.any():
-        return found
-    Lambda = weights_of(found)
-    parts = filtered_parts(signals, model.A, model.C, model.K, Lambda)
-    return replace(found, **_of_model(signals, parts, model, options, given, Lambda))
+        return estimate
+    Lambda = weights_of(estimate)
+    parts = filter_parts(signals, model.A, model.C, model.K, Lambda)
+    return replace(estimate, **_of_model(signals, parts, model, options, B_D, Lambda))
 
 
-def weights_of(found: SubspaceEstimate) -> Array:
+def weights_of(estimate: SubspaceEstimate) -> Array:
     """Return the covariance of e; the weight of a single output has no effect."""
-    e = np.vstack(found.errors)
+    e = np.vstack(estimate.errors)
     return np.eye(1) if e.shape[1] == 1 else pairwise_covariance(e)
 
 
-def _bridged(signals: Parts, longest: int) -> list[tuple[Array, Array]]:
+def _bridge_gaps(signals: Parts, longest: int) -> list[tuple[Array, Array]]:
     """Return the signals with outputs interpolated over gaps of at most `longest` samples."""
-    found = []
+    bridged = []
     for u, y in signals:
-        filled = np.apply_along_axis(interpolated, 0, y)
+        filled = np.apply_along_axis(interpolate, 0, y)
         for k, missing in enumerate(np.isnan(y).T):
             for gap in stretches(missing):
                 if gap.stop - gap.start > longest:
                     filled[gap, k] = np.nan
-        found.append((u, filled))
-    return found
+        bridged.append((u, filled))
+    return bridged
 
 
 def _conditional(errors: Array, Lambda: Array) -> Array:
     """Return the errors (N, ny); a missing error is estimated from those of the other outputs."""
-    known = np.isfinite(errors)
-    found = np.where(known, errors, 0.0)
-    for o, times in patterns(known):
+    measured = np.isfinite(errors)
+    estimates = np.where(measured, errors, 0.0)
+    for o, times in patterns(measured):
         gain = np.linalg.solve(Lambda[np.ix_(o, o)], Lambda[o])
-        found[times] = found[np.ix_(times, o)] @ gain
-    return found
+        estimates[times] = estimates[np.ix_(times, o)] @ gain
+    return estimates
 
 
-def _from_windows(signals: Parts, known: Parts, options: SubspaceOptions) -> SubspaceEstimate:
+def _from_windows(signals: Parts, filled: Parts, options: SubspaceOptions) -> SubspaceEstimate:
     """Return the estimate from windows of the `known` signals, which have no missing outputs."""
-    w = usable_windows(known, options.order, options.horizon)
-    found = projection(w, options.weights)
-    canonical = found if options.weights == "cva" else projection(w, "cva")
+    w = usable_windows(filled, options.order, options.horizon)
+    decomposition = projection(w, options.weights)
+    canonical = decomposition if options.weights == "cva" else projection(w, "cva")
     states = visible_states(w)
     most = min(_MAX_SUGGESTED_ORDER, (w.future - 2) * w.ny, states)
-    suggested = suggested_order(w, canonical, most)
+    suggested = order_by_mdl(w, canonical, most)
     n = suggested if options.order is None else options.order
     if n > states:
         raise InputError(f"order={n}: the data show {plural(states, 'state')}; lower the order")
     integrator, direct = options.integrator, options.direct
     if options.horizon is None:
         model = best_innovations(
-            known,
+            filled,
             w,
-            found,
+            decomposition,
             n,
             options.weights,
             integrator=integrator,
@@ -186,7 +186,7 @@ def _from_windows(signals: Parts, known: Parts, options: SubspaceOptions) -> Sub
             simulated=options.simulated and w.ny > 1,
         )
     else:
-        model = innovations_at(w, found, n, integrator=integrator)
+        model = innovations_at(w, decomposition, n, integrator=integrator)
     free = model.A
     if options.stable:
         model = model.stabilised()
@@ -194,33 +194,33 @@ def _from_windows(signals: Parts, known: Parts, options: SubspaceOptions) -> Sub
         free=free,
         canonical_correlations=canonical.singular_values,
         suggested_order=suggested,
-        **_of_model(signals, unweighted(signals), model, options),
+        **_of_model(signals, without_weights(signals), model, options),
     )
 
 
 def _of_model(
     signals: Parts,
-    parts: Sequence[Part],
-    model: Innovations,
+    parts: Sequence[ScaledExperiment],
+    model: InnovationsForm,
     options: SubspaceOptions,
-    given: tuple[Array, Array] | None = None,
+    B_D: tuple[Array, Array] | None = None,
     Lambda: Array | None = None,
 ) -> dict[str, Any]:
     """Return the fields of an estimate that follow from A, C and K, such as its errors."""
-    at, predicted, states = completed(parts, model, direct=options.direct, given=given)
+    at, predicted, states = least_squares_predictor(parts, model, direct=options.direct, B_D=B_D)
     errors = [y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)]
     if Lambda is not None:
-        errors = [scaled_errors(part, e, Lambda) for part, e in zip(parts, errors, strict=True)]
-    found = {"model": model, "at": at, "predicted": predicted, "states": states}
-    return found | {"errors": errors, "parts": tuple(parts), "Lambda": Lambda}
+        errors = [scale_part_errors(part, e, Lambda) for part, e in zip(parts, errors, strict=True)]
+    fields = {"model": model, "at": at, "predicted": predicted, "states": states}
+    return fields | {"errors": errors, "parts": tuple(parts), "Lambda": Lambda}
 
 
-def completed(
-    parts: Sequence[Part],
-    model: Innovations,
+def least_squares_predictor(
+    parts: Sequence[ScaledExperiment],
+    model: InnovationsForm,
     *,
     direct: bool,
-    given: tuple[Array, Array] | None = None,
+    B_D: tuple[Array, Array] | None = None,
 ) -> tuple[Predictor, list[Array], tuple[Basis, ...]]:
     """Return the predictor of least one-step errors, its predictions, and effects of the states.
 
@@ -236,25 +236,25 @@ def completed(
         level=model.integrator,
         gain=model.K,
     )
-    found = problem.linear(
-        model.Abar, model.C, None if given is None else (given[0] - model.K @ given[1], given[1])
+    linear = problem.linear(
+        model.Abar, model.C, None if B_D is None else (B_D[0] - model.K @ B_D[1], B_D[1])
     )
-    if given is None and found.basis.rank < found.basis.d:
+    if B_D is None and linear.basis.rank < linear.basis.d:
         raise InputError(
-            f"u determines only {found.basis.rank} of {found.basis.d} numerator coefficients; "
+            f"u determines only {linear.basis.rank} of {linear.basis.d} numerator coefficients; "
             "lower the order or excite with a richer input"
         )
-    predicted = [found.at.predicted(part, i) for i, part in enumerate(parts)]
-    return found.at, predicted, found.states
+    predicted = [linear.at.predicted(part, i) for i, part in enumerate(parts)]
+    return linear.at, predicted, linear.states
 
 
-def unweighted(signals: Parts) -> tuple[Part, ...]:
+def without_weights(signals: Parts) -> tuple[ScaledExperiment, ...]:
     """Return the signals of each experiment without weights of the outputs."""
     return parts_of(signals, np.eye(signals[0][1].shape[1]))
 
 
 def for_simulation(
-    signals: Parts, found: SubspaceEstimate, options: SubspaceOptions
+    signals: Parts, estimate: SubspaceEstimate, options: SubspaceOptions
 ) -> SubspaceEstimate:
     """Return the model with the B and D, and for one output the poles, of least simulation error.
 
@@ -265,34 +265,36 @@ def for_simulation(
     K is the candidate with the least one-step loss. The candidates are the gain of the projection,
     K = 0 (white output noise), and for one output K by Hannan and Rissanen's regressions.
     """
-    model, parts, direct = found.model.stabilised(), unweighted(signals), options.direct
-    one = len(model.C) == 1
-    if one and len(model.A) > model.integrator:  # a pole at 1 alone is fixed
-        model = model.with_transition(_searched_poles(parts, model, direct=direct))
+    model, parts, direct = estimate.model.stabilised(), without_weights(signals), options.direct
+    single_output = len(model.C) == 1
+    if single_output and len(model.A) > model.integrator:  # a pole at 1 alone is fixed
+        model = model.with_transition(_search_poles(parts, model, direct=direct))
     still = replace(model, K=np.zeros(model.K.shape))
-    at, simulated, _ = completed(parts, still, direct=direct)
+    at, simulated, _ = least_squares_predictor(parts, still, direct=direct)
     gains = [model.K, still.K]
-    if one:
+    if single_output:
         a = np.append(1.0, -model.A[:, 0])
         v = [y - yhat for (_, y), yhat in zip(signals, simulated, strict=True)]
         polynomials = noise_start([_without_past(a, x[:, 0]) for x in v], nc=a.size - 1, nd=0)[0]
-        gains = [model.K, *((c - a)[1:, None] for c in (polynomials, reflected(a)))]
-    given, models = (at.Bbar, at.D), [replace(model, K=K) for K in gains]
-    fields = [_of_model(signals, parts, each, options, given) for each in models]
-    fits = [replace(found, free=model.A, **of) for of in fields]
+        gains = [model.K, *((c - a)[1:, None] for c in (polynomials, reflect_roots(a)))]
+    B_D, models = (at.Bbar, at.D), [replace(model, K=K) for K in gains]
+    fields = [_of_model(signals, parts, each, options, B_D) for each in models]
+    fits = [replace(estimate, free=model.A, **changes) for changes in fields]
     losses = [np.linalg.slogdet(pairwise_covariance(np.vstack(fit.errors)))[1] for fit in fits]
     best = fits[int(np.argmin(losses))]
-    return filtered_estimate(signals, best, options, given)
+    return filter_estimate(signals, best, options, B_D)
 
 
 def _without_past(a: Array, v: Array) -> Array:
     """Return a(q) v; a sample that depends on a missing or unknown sample is NaN."""
-    found = filtered(a, [1.0], v) if np.isfinite(v).all() else np.convolve(v, a)[: v.size]
-    found[: a.size - 1] = np.nan
-    return found
+    filtered_v = apply_filter(a, [1.0], v) if np.isfinite(v).all() else np.convolve(v, a)[: v.size]
+    filtered_v[: a.size - 1] = np.nan
+    return filtered_v
 
 
-def _searched_poles(parts: tuple[Part, ...], model: Innovations, *, direct: bool) -> Array:
+def _search_poles(
+    parts: tuple[ScaledExperiment, ...], model: InnovationsForm, *, direct: bool
+) -> Array:
     """Return A of least simulation error for one output, in observer form."""
     n = len(model.A)
     pole = np.array([1.0, -1.0]) if model.integrator else np.ones(1)
@@ -309,9 +311,9 @@ def _searched_poles(parts: tuple[Part, ...], model: Innovations, *, direct: bool
         return companion(np.convolve(pole, np.append(1.0, f)))
 
     def linearise(f: Array) -> tuple[Array, Array]:
-        linear, J = problem.linearised(transition(f), model.C, V)
+        linear, J = problem.linearise_along(transition(f), model.C, V)
         return linear.e, J
 
     walls = UnitCircle((slice(0, start.size - 1),))
-    found = levenberg_marquardt(linearise, start[1:], admissible=walls.admits, walls=walls)
-    return transition(stabilised(np.append(1.0, found.theta))[1:])
+    optimum = levenberg_marquardt(linearise, start[1:], admissible=walls.admits, walls=walls)
+    return transition(stabilise(np.append(1.0, optimum.theta))[1:])

@@ -13,13 +13,13 @@ from armrig.estimation.stability import CIRCLE_ROUNDING
 from armrig.estimation.state_space_responses import state_responses
 from armrig.estimation.subspace import (
     Parts,
-    Projection,
+    SubspaceProjection,
     Windows,
     autoregressive_order,
     complete_stretches,
     projection,
-    realised,
-    shortened,
+    realise,
+    shorten_windows,
     windows,
 )
 from armrig.models.structure_table import Weights
@@ -81,7 +81,7 @@ def longest_horizon(signals: Parts, samples: int, order: int | None) -> int:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Innovations:
+class InnovationsForm:
     """Matrices of x(t+1) = A x + B u + K e, y = C x + D u + e, estimated without B and D."""
 
     A: Array
@@ -105,13 +105,13 @@ class Innovations:
         """Transition matrix A - K C of the predictor."""
         return np.asarray(self.A - self.K @ self.C)
 
-    def integrating(self) -> Innovations:
+    def integrating(self) -> InnovationsForm:
         """Return the model with the real pole nearest 1 moved to 1."""
         z = np.linalg.eigvals(self.A).astype(np.complex128)
         z[_nearest_1(z)] = 1.0
         return replace(self._with_poles(z), integrator=True)
 
-    def stabilised(self) -> Innovations:
+    def stabilised(self) -> InnovationsForm:
         """Return the model with the poles, except an integrator, reflected into the circle."""
         z = np.linalg.eigvals(self.A)
         size = np.abs(z)
@@ -124,7 +124,7 @@ class Innovations:
         limits = np.minimum(1 / np.maximum(size, 1), 1 - _CIRCLE_MARGIN)
         return self._with_poles(np.where(out, z / np.maximum(size, 1) * limits, z))
 
-    def _with_poles(self, z: Array) -> Innovations:
+    def _with_poles(self, z: Array) -> InnovationsForm:
         """Return the model with the poles z in place of the eigenvalues of A, in their order."""
         if in_observer_form(self.A, self.C):
             p = np.real(np.poly(z))
@@ -134,7 +134,7 @@ class Innovations:
         _, V = np.linalg.eig(self.A)
         return self.with_transition(np.real(V @ np.diag(z) @ np.linalg.inv(V)))
 
-    def with_transition(self, A: Array) -> Innovations:
+    def with_transition(self, A: Array) -> InnovationsForm:
         """Return the model with another A; A - K C changes as little as possible, or not at all."""
         return replace(self, A=A, K=self.K + (A - self.A) @ np.linalg.pinv(self.C))
 
@@ -151,9 +151,11 @@ def _nearest_1(z: Array) -> int:
     return int(np.argmin(np.abs(z - 1) + 10.0 * (np.abs(z.imag) > 1e-9)))
 
 
-def innovations_at(w: Windows, found: Projection, order: int, *, integrator: bool) -> Innovations:
+def innovations_at(
+    w: Windows, decomposition: SubspaceProjection, order: int, *, integrator: bool
+) -> InnovationsForm:
     """Return A, C and K for the horizon of the windows, for one output in observer form."""
-    space = realised(w, found, order)
+    space = realise(w, decomposition, order)
     A, C = space.A, space.C
     if w.ny == 1:
         z = np.linalg.eigvals(A)
@@ -165,8 +167,13 @@ def innovations_at(w: Windows, found: Projection, order: int, *, integrator: boo
     else:
         K = space.gain()
         steady = bool(K.any())
-    model = Innovations(
-        A=A, C=C, K=K, horizon=w.future, singular_values=found.singular_values, steady=steady
+    model = InnovationsForm(
+        A=A,
+        C=C,
+        K=K,
+        horizon=w.future,
+        singular_values=decomposition.singular_values,
+        steady=steady,
     )
     return model.integrating() if integrator else model
 
@@ -174,14 +181,14 @@ def innovations_at(w: Windows, found: Projection, order: int, *, integrator: boo
 def best_innovations(
     signals: Parts,
     w: Windows,
-    found: Projection,
+    decomposition: SubspaceProjection,
     order: int,
     weights: Weights,
     *,
     integrator: bool,
     direct: bool,
     simulated: bool = False,
-) -> Innovations:
+) -> InnovationsForm:
     """Return the model for the horizon of `w` or for a shorter horizon, by the one-step loss.
 
     If `simulated`, the loss of the simulation decides, which is that of the model with K = 0. The
@@ -192,10 +199,10 @@ def best_innovations(
     has the poles of A, a long horizon reduces the accuracy in short data. The loss was then 29 %
     above the least possible loss with a horizon of 10, and 5 % with a horizon of 6.
     """
-    models = [innovations_at(w, found, order, integrator=integrator)]
+    models = [innovations_at(w, decomposition, order, integrator=integrator)]
     for horizon in dict.fromkeys((order + 2, least_horizon(order, w.ny))):
         if horizon < w.future:
-            short = shortened(w, horizon)
+            short = shorten_windows(w, horizon)
             at = projection(short, weights)
             models.append(innovations_at(short, at, order, integrator=integrator))
     if not models[1:]:
@@ -207,7 +214,7 @@ def best_innovations(
     return models[least_loss(signals, compared, direct=direct)]
 
 
-def least_loss(signals: Parts, models: Sequence[Innovations], *, direct: bool) -> int:
+def least_loss(signals: Parts, models: Sequence[InnovationsForm], *, direct: bool) -> int:
     """Return the index of the model with the least one-step loss.
 
     The loss is the determinant of the sum of e e^T over the longest stretches without missing y, at
@@ -232,7 +239,7 @@ def _longest_stretches(signals: Parts) -> list[tuple[Array, Array]]:
     return parts
 
 
-def _squares(u: Array, y: Array, model: Innovations, *, direct: bool) -> Array:
+def _squares(u: Array, y: Array, model: InnovationsForm, *, direct: bool) -> Array:
     """Return the sum of e e^T with the least trace for given A, C and K, by normal equations."""
     (N, ny), n = y.shape, len(model.A)
     if 4 * n + 4 > N:

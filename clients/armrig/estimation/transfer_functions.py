@@ -14,10 +14,10 @@ from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding, warning
 from armrig.estimation.continuous_problem import MAX_RATE, ContinuousProblem
-from armrig.estimation.continuous_starts import continuous_starts, moved_modes
+from armrig.estimation.continuous_starts import continuous_starts, starts_with_moved_pole
 from armrig.estimation.data_faults import CONSTANT_INPUT, constant_input, require_moving_output
 from armrig.estimation.orders import require_samples
-from armrig.estimation.prediction_error import Estimated, fit_of_one, nuisance, outputs_of
+from armrig.estimation.prediction_error import GroupEstimate, fit_of_one, nuisance, outputs_of
 from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.estimation.search import (
     Ends,
@@ -28,7 +28,7 @@ from armrig.estimation.search import (
     same_minimum,
 )
 from armrig.models.fit import Fit
-from armrig.models.innovations import prepared
+from armrig.models.innovations import prepare
 from armrig.models.structure import Structure
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.checks import require_integers
@@ -149,20 +149,20 @@ def tf(
         integrator="f" if integrator else "",
         offset=offset and not integrator,
     )
-    experiments = tuple((prepared(part.u, part.y, row),) for part in data.experiments())
-    given, longest = _delay(delay, data)
+    experiments = tuple((prepare(part.u, part.y, row),) for part in data.experiments())
+    delay_samples, longest = _delay(delay, data)
     problem = ContinuousProblem(
         sampled_problem=PolynomialProblem(rows=(row,), experiments=experiments),
         poles=poles,
         zeros=zeros,
         hold=signals.intersample[0],
-        delay=given,
+        delay=delay_samples,
         longest=longest,
     )
     text, measured = f"poles={poles}, zeros={zeros}", int(np.isfinite(data.y).sum())
     needed = problem.size + zeros + 2 + nuisance(problem.sampled_problem)
     require_samples(text, needed=needed, got=measured)
-    problem, ends = searched(problem)
+    problem, ends = search_continuous(problem)
     theta = ends[0][1].theta
     point = problem.at(theta)
     solution = point.problem.solve(point.theta)
@@ -172,7 +172,7 @@ def tf(
             "lower zeros or excite with a richer input"
         )
     notes = _fast_poles(problem, theta, data.Ts)
-    if given is None and problem.delay is not None:
+    if delay_samples is None and problem.delay is not None:
         notes = (*notes, warning("no_delay", _NO_DELAY_TEXT))
     fit = _fit(data, problem, ends, solution)
     return replace(fit, findings=(*fit.findings, *notes))
@@ -230,15 +230,15 @@ def process(
     gain (rate)    1.86... ± 0.0014 rad/s/V
     time constant  0.083... ± 0.0011 s
     """
-    found = _PROCESS.fullmatch(str(form))
-    marks = found["marks"] if found else ""
-    if not found or len(set(marks)) < len(marks) or ("U" in marks and found["poles"] in "01"):
+    match = _PROCESS.fullmatch(str(form))
+    marks = match["marks"] if match else ""
+    if not match or len(set(marks)) < len(marks) or ("U" in marks and match["poles"] in "01"):
         raise InputError(
             f"{form!r} is no process model: give P, the number of time constants 0 to 3, and D, Z, "
             'I or U (U needs two), such as "P1D" or "P2DU"'
         )
     integrator = "I" in marks
-    poles, zeros = int(found["poles"]) + integrator, int("Z" in marks)
+    poles, zeros = int(match["poles"]) + integrator, int("Z" in marks)
     if zeros >= poles:
         raise InputError(f"{form!r} needs more poles than zeros: add a time constant or an I")
     if delay is None and "D" in marks:
@@ -257,8 +257,8 @@ def process(
     if paired == ("U" in marks):
         return fit
     pair = "the poles are a resonant pair; name it by the letter U"
-    said = pair if paired else "the poles are real: there is no resonance, so leave U out"
-    return replace(fit, findings=(*fit.findings, warning("process_kind", said)))
+    text = pair if paired else "the poles are real: there is no resonance, so leave U out"
+    return replace(fit, findings=(*fit.findings, warning("process_kind", text)))
 
 
 def _delay(delay: Delay, data: Dataset) -> tuple[float | None, float]:
@@ -278,7 +278,7 @@ def _delay(delay: Delay, data: Dataset) -> tuple[float | None, float]:
     return samples, samples
 
 
-def searched(problem: ContinuousProblem) -> tuple[ContinuousProblem, Ends]:
+def search_continuous(problem: ContinuousProblem) -> tuple[ContinuousProblem, Ends]:
     """Return the problem, and the minimum reached from each start value, best first.
 
     In a search over the delay, all delays have the pulses of the longest start delay, so that their
@@ -288,11 +288,11 @@ def searched(problem: ContinuousProblem) -> tuple[ContinuousProblem, Ends]:
     if problem.delay is None:
         problem = problem.reaching(max((float(theta[-1]) for _, theta in starts), default=0.0))
         each = groupby(starts, key=lambda start: start[1][-1])
-        starts = [min(of, key=lambda start: problem.cost(start[1])) for _, of in each]
+        starts = [min(group, key=lambda start: problem.cost(start[1])) for _, group in each]
     ends = from_each(problem, starts)
     for _ in range(_MAX_ROUNDS if _doubtful(problem, ends) else 0):
         best = ends[0][1]
-        moved = cheapest(problem, moved_modes(problem, best.theta), _MOVED_STARTS)
+        moved = cheapest(problem, starts_with_moved_pole(problem, best.theta), _MOVED_STARTS)
         lower = lowest_beside(problem, best, moved, _STAGES)
         if same_minimum(problem.sampled_problem, lower.cost, best.cost):
             break
@@ -334,12 +334,12 @@ def _fast_poles(problem: ContinuousProblem, theta: Array, Ts: float) -> tuple[Fi
     if fast <= nyquist:
         return ()
     is_limit = _at_limit(problem, theta)
-    said = (
+    text = (
         f"a pole at {digits(fast, 3)} rad/s is above the Nyquist frequency, {digits(nyquist, 3)} "
         f"rad/s: the data {'do not' if is_limit else 'hardly'} determine it; sample faster or "
         "lower poles"
     )
-    return (warning("fast_pole", said, "order", rate=fast),)
+    return (warning("fast_pole", text, "order", rate=fast),)
 
 
 def _fit(data: Dataset, problem: ContinuousProblem, ends: Ends, solution: Solution) -> Fit:
@@ -348,14 +348,14 @@ def _fit(data: Dataset, problem: ContinuousProblem, ends: Ends, solution: Soluti
     floor = rounding_floor(point.problem)
     ends = [(name, replace(o, converged=o.converged or o.cost <= floor)) for name, o in ends]
     solution = replace(solution, by_theta=point.derivatives(solution))
-    one = Estimated(
+    group = GroupEstimate(
         outputs=(0,), problem=point.problem, solution=solution, theta=point.theta, ends=ends
     )
     form, J = _form(problem, ends[0][1].theta, solution.linear, data.Ts)
-    [estimate], W = outputs_of(data, [one], J)
+    [estimate], W = outputs_of(data, [group], J)
     fit = fit_of_one(
         data,
-        one,
+        group,
         estimate,
         W,
         problem,
@@ -370,8 +370,8 @@ def _form(
     problem: ContinuousProblem, theta: Array, linear: Array, Ts: float
 ) -> tuple[TransferFunction, Array]:
     """Return the transfer function, and its derivatives by `linear` and theta in 1/sample."""
-    noise, own, delay = problem.parts_of(theta)
-    f = problem.with_root(own)
+    noise, free_f, delay = problem.parts_of(theta)
+    f = problem.with_root(free_f)
     n, m, k, nc = problem.poles, problem.zeros, problem.noise_size, problem.row.nc
     of_b, of_f = Ts ** (np.arange(m + 1.0) - n), Ts ** -np.arange(1.0, n + 1)
     form = TransferFunction(
@@ -385,6 +385,8 @@ def _form(
         Ts=Ts,
         hold=problem.hold,
     )
-    J = np.diag(np.concatenate([of_b, np.ones(k), of_f[: own.size], [Ts] * form.delay_estimated]))
+    J = np.diag(
+        np.concatenate([of_b, np.ones(k), of_f[: free_f.size], [Ts] * form.delay_estimated])
+    )
     J[: m + 1] = J[m::-1]  # the highest power comes first
     return form, np.insert(J, m + 1 + k + n - 1, 0.0, axis=0) if problem.integrates else J

@@ -26,7 +26,7 @@ from armrig.numerics.checks import require_known
 from armrig.numerics.covariance import joint_score
 from armrig.numerics.criteria import mdl
 from armrig.numerics.least_squares import Basis, orthonormal
-from armrig.numerics.polynomial import Array, filtered, lagged
+from armrig.numerics.polynomial import Array, apply_filter, lag_columns
 
 StageTwo = Literal["oe", "tf", "process"]
 
@@ -118,11 +118,11 @@ def two_stage(
     first = orthonormal(np.vstack(Phi))
     u = np.concatenate([part.u[count - 1 :] for part in parts])
     eta = first.coefficients(u)
-    rest = np.split(first.without(u), np.cumsum([len(x) for x in Phi])[:-1])
+    residuals = np.split(first.without(u), np.cumsum([len(x) for x in Phi])[:-1])
     pairs = zip(parts, Phi, strict=True)
     excited = merge([part[count - 1 :].replaced(step=_STEP, u=x @ eta) for part, x in pairs])
     fit = estimator(structure)(excited, **options)
-    P = _covariance(fit, excited, references, first, rest)
+    P = _covariance(fit, excited, references, first, residuals)
     # The loop removes the slow noise from the second stage, but not its mean, which looks sure.
     findings = fit.findings
     if any(f.about == "level" for f in findings) and level_without_input(data) is None:
@@ -134,7 +134,7 @@ def two_stage(
 
 def _lags(r: Array, count: int) -> Array:
     """Return r, r(t - 1), … and 1 from the first t at which all are known, (N - count + 1, m)."""
-    return np.column_stack([lagged(r, range(count)), np.ones(r.size)])[count - 1 :]
+    return np.column_stack([lag_columns(r, range(count)), np.ones(r.size)])[count - 1 :]
 
 
 def _count(parts: Sequence[Dataset], references: Sequence[Array]) -> int:
@@ -145,18 +145,18 @@ def _count(parts: Sequence[Dataset], references: Sequence[Array]) -> int:
     most = lengths[-1]
     Phi = np.vstack([_lags(r, most) for r in references])
     u = np.concatenate([part.u[most - 1 :] for part in parts])
-    found = []
+    criteria = []
     for n in lengths:
         e = orthonormal(np.delete(Phi, np.s_[n:most], axis=1)).without(u)
-        found.append(float(mdl(max(float(e @ e), 1e-300) / u.size, n + 1, u.size)))
-    best = int(np.argmin(found))
+        criteria.append(float(mdl(max(float(e @ e), 1e-300) / u.size, n + 1, u.size)))
+    best = int(np.argmin(criteria))
     if not best:
         raise InputError("r does not affect u: give the set point, or a signal that was added to u")
     return lengths[min(best + 1, len(lengths) - 1)]
 
 
 def _covariance(
-    fit: Fit, data: Dataset, references: Sequence[Array], first: Basis, rest: Sequence[Array]
+    fit: Fit, data: Dataset, references: Sequence[Array], first: Basis, residuals: Sequence[Array]
 ) -> Array:
     """Return the covariance of theta from the noise of both stages.
 
@@ -164,21 +164,21 @@ def _covariance(
 
         theta - theta_0 = (Psi^T Psi)^-1 Psi^T (e_y - g (Phi^T Phi)^-1 Phi^T e_u)
     """
-    found = prediction_errors(fit, data)
-    second = orthonormal(np.vstack([x.Psi[:, 0] for x in found]))
+    errors = prediction_errors(fit, data)
+    second = orthonormal(np.vstack([x.Psi[:, 0] for x in errors]))
     of_y = second.Q @ (_by_free(fit) @ second.W).T
     sampled = fit if fit.Ts else fit.to_discrete(data.Ts)
     # The effect of r before the first sample is a free response, to which Psi is orthogonal.
     B, F = sampled.B, sampled.denominator
-    pairs = zip(references, found, strict=True)
-    g = np.vstack([_lags(filtered(B, F, r), r.size - len(x.e) + 1) for r, x in pairs])
+    pairs = zip(references, errors, strict=True)
+    g = np.vstack([_lags(apply_filter(B, F, r), r.size - len(x.e) + 1) for r, x in pairs])
     # A level of u is a level of y, or a ramp, which is a free response of an integrator.
     g[:, -1] = 0.0 if fit.integrator else np.sum(B) / np.sum(F)
     of_u = -first.Q @ (first.W.T @ (g.T @ of_y))
-    ends = np.cumsum([len(x.e) for x in found])[:-1]
+    ends = np.cumsum([len(x.e) for x in errors])[:-1]
     return joint_score(
         [*zip(np.split(of_y, ends), np.split(of_u, ends), strict=True)],
-        [(x.e[:, 0], e) for x, e in zip(found, rest, strict=True)],
+        [(x.e[:, 0], e) for x, e in zip(errors, residuals, strict=True)],
         parameters=second.rank + first.rank,
     )
 
@@ -187,5 +187,5 @@ def _by_free(fit: Fit) -> Array:
     """Return the derivatives of theta by the free parameters, of which a fixed root is none."""
     if fit.Ts:
         return with_integrator(structure_of(fit))
-    one = np.eye(fit.theta.size)
-    return np.delete(one, fit.slice_of("f").stop - 1, axis=1) if fit.integrator else one
+    identity = np.eye(fit.theta.size)
+    return np.delete(identity, fit.slice_of("f").stop - 1, axis=1) if fit.integrator else identity

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 from armrig_core.errors import InputError
-from armrig_core.process.calls import checked_call
+from armrig_core.process.calls import with_argument_checks
 
 from armrig.excitation.levels import Vector, generator, require_levels
 from armrig.numerics.checks import require_integers, require_numbers
@@ -16,7 +16,7 @@ _MAX_REGISTER_BITS = 24  # a period of 2^24 - 1 clocks is longer than any run
 _HALF_WIDTH_STDS = 3.0
 
 
-@checked_call
+@with_argument_checks
 def telegraph(
     N: int, a: float, low: float = 0.5, high: float = 4.5, seed: int | np.random.Generator = 1
 ) -> Vector:
@@ -54,7 +54,7 @@ def telegraph(
     return np.where(np.cumsum(switch) % 2 == 1, high, low).astype(np.float64)
 
 
-@checked_call
+@with_argument_checks
 def prbs(
     N: int,
     clock: int = 1,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armrig.excitation.pace import Pace
 
 
-class Experiment(NamedTuple):
+class DemonstrationRun(NamedTuple):
     """One run of the demonstration."""
 
     name: str
@@ -37,13 +37,13 @@ class Experiment(NamedTuple):
         return {"u": self.u.repeat(self.every).tolist(), **request}
 
 
-def experiments(pace: Pace, seed: int) -> list[Experiment]:
+def experiments(pace: Pace, seed: int) -> list[DemonstrationRun]:
     """Return a step, a telegraph signal, and a telegraph signal for validation."""
     levels = {"low": pace.low, "high": pace.high}
     asked = {"experiment": "step", "details": {"input": "step", **levels}}
-    plan = [Experiment("step", pace.step(), asked, pace.Ts, pace.every)]
+    plan = [DemonstrationRun("step", pace.step(), asked, pace.Ts, pace.every)]
     for name, number in (("telegraph", seed), ("validation", seed + 1)):
         details = {"input": "telegraph", **levels, "a": pace.switch, "seed": number}
         request = {"experiment": "blackbox", "details": details}
-        plan.append(Experiment(name, pace.telegraph(number), request, pace.Ts, pace.every))
+        plan.append(DemonstrationRun(name, pace.telegraph(number), request, pace.Ts, pace.every))
     return plan

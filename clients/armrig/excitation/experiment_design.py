@@ -16,10 +16,10 @@ from armrig.numerics.checks import column, require_numbers
 from armrig.numerics.least_squares import RANK_TOLERANCE, orthonormal
 from armrig.numerics.polynomial import (
     Array,
+    apply_filter,
     by_denominator,
     by_numerator,
-    filtered,
-    lagged,
+    lag_columns,
     stable,
     without_integrator,
 )
@@ -101,11 +101,11 @@ class PredictedStd:
         return "\n".join(lines)
 
 
-def planned_data(u: ArrayLike | Dataset, Ts: float) -> Dataset:
+def input_dataset(u: ArrayLike | Dataset, Ts: float) -> Dataset:
     """Return a planned input as a `Dataset`."""
     if not isinstance(u, Dataset):
-        given = column("u", u)
-        return Dataset(u=given, y=np.zeros(given.size), Ts=Ts)
+        values = column("u", u)
+        return Dataset(u=values, y=np.zeros(values.size), Ts=Ts)
     if not np.isclose(u.Ts, Ts, rtol=1e-9, atol=0.0):
         raise InputError(
             f"the model has Ts={Ts:g} s and the data have Ts={u.Ts:g} s; plan at one rate"
@@ -113,7 +113,7 @@ def planned_data(u: ArrayLike | Dataset, Ts: float) -> Dataset:
     return u
 
 
-def inverted(
+def cr_bound(
     Psi: Array,
     variance: float,
     names: tuple[str, ...],
@@ -206,7 +206,7 @@ def predicted_std(
     for name, p in (("C", model.C), ("F", _without_known_root(model, "f"))):
         if not stable(p):
             raise InputError(f"{name} has a root on or outside the unit circle")
-    planned = planned_data(u, model.Ts)
+    planned = input_dataset(u, model.Ts)
     output_error = model.A.size == model.C.size == model.D.size == 1
     if planned.missing and not output_error:
         raise InputError(
@@ -218,10 +218,10 @@ def predicted_std(
     if model.integrating:
         # F = (1 - q^-1) F̃ is linear in F̃: f_k = f̃_k - f̃_(k-1). The equations for A are the
         # same.
-        own = np.r_[model.slice_of(model.integrating)]
-        to_full[own[1:], own[:-1]] = -1.0
-        to_full = np.delete(to_full, own[-1], axis=1)
-    return inverted(np.vstack(rows), variance, model.names, model.theta, planned, to_full)
+        index = np.r_[model.slice_of(model.integrating)]
+        to_full[index[1:], index[:-1]] = -1.0
+        to_full = np.delete(to_full, index[-1], axis=1)
+    return cr_bound(np.vstack(rows), variance, model.names, model.theta, planned, to_full)
 
 
 def _gradient(model: Fit, part: Dataset, variance: float) -> Iterator[Array]:
@@ -235,12 +235,12 @@ def _gradient(model: Fit, part: Dataset, variance: float) -> Iterator[Array]:
         # have smaller rounding errors.
         u = np.cumsum(u - np.mean(u))
     na, nf = A.size - 1, F.size - 1
-    forced = filtered(B, F, u)
-    white = filtered(D, C, np.column_stack([u, forced, filtered([1.0], A, forced)]).T)
+    forced = apply_filter(B, F, u)
+    white = apply_filter(D, C, np.column_stack([u, forced, apply_filter([1.0], A, forced)]).T)
     nothing = np.zeros((N, C.size + D.size - 2))
     Psi = np.hstack(
         [
-            -lagged(white[2], range(1, na + 1)),
+            -lag_columns(white[2], range(1, na + 1)),
             by_numerator(white[0], F, range(model.nk, B.size)),
             nothing,
             by_denominator(white[1], F, nf),
@@ -251,14 +251,14 @@ def _gradient(model: Fit, part: Dataset, variance: float) -> Iterator[Array]:
     if model.A.size > 1:
         rows[: max(model.A.size, B.size) - 1] = False
         if model.integrating:
-            Z = filtered(D, C, np.ones((1, N))).T  # offset of the input
+            Z = apply_filter(D, C, np.ones((1, N))).T  # offset of the input
     else:
         count = transient_count(
             numerator_degree=B.size - 1,
             denominator_degree=model.F.size - 1,
             integrator=model.integrator,
         )
-        Z = filtered(D, C, free_columns(F, N, count=count, drift=model.integrator).T).T
+        Z = apply_filter(D, C, free_columns(F, N, count=count, drift=model.integrator).T).T
     yield orthonormal(Z[rows]).without(Psi[rows])
     if na or nothing.size:
         yield _by_noise(model, np.sqrt(variance * np.arange(N, 0.0, -1.0)), Psi.shape[1])

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_text
-from armrig_core.process.calls import checked_call
+from armrig_core.process.calls import with_argument_checks
 from armrig_core.rig.description import Input
 
 from armrig.data.columns import interval
@@ -26,7 +26,7 @@ _U = Input()
 MAX_TIME_ERROR = 0.01  # share of Ts; the rounding of times in a text file is smaller
 
 
-@checked_call
+@with_argument_checks
 def from_csv(
     path: str | Path,
     Ts: float,
@@ -149,11 +149,11 @@ def _columns(name: str | Path, text: str, input: Input) -> tuple[Vector | None, 
     width, names = len(values), [column.name.strip("\"'").lower() for column in table.columns]
     if width > 2:
         raise InputError(f"{name}: {plural(width, 'column')}; give u in V, or t in s and u in V")
-    own = input.name.lower()
-    is_own = own != "u" and own in names
-    u, titles = (own if is_own else "u"), ["t", "u"][-width:]
+    input_name = input.name.lower()
+    is_own = input_name != "u" and input_name in names
+    u, titles = (input_name if is_own else "u"), ["t", "u"][-width:]
     if any(names) and sorted(names) != sorted(["t", u][-width:]):
-        also = f" (or {input.name} in {input.unit})" if own != "u" else ""
+        also = f" (or {input.name} in {input.unit})" if input_name != "u" else ""
         raise InputError(
             f"{name}: columns {', '.join(names)}; name them t and u{also}, or one column u, or "
             "leave the names out: u drives the motor"
@@ -171,5 +171,5 @@ def _columns(name: str | Path, text: str, input: Input) -> tuple[Vector | None, 
             f"{name}: a comma separates what may be one number (0,5); name the columns t and u in "
             "the first row, or separate them by a semicolon"
         )
-    found = dict(zip(names if any(names) else titles, values, strict=True))
-    return found.get("t"), input.volts(found[u]) if is_own else found["u"], table
+    columns = dict(zip(names if any(names) else titles, values, strict=True))
+    return columns.get("t"), input.volts(columns[u]) if is_own else columns["u"], table

@@ -16,7 +16,7 @@ from armrig.numerics.least_squares import triangle
 from armrig.numerics.power_spectrum import power_spectrum
 from armrig.numerics.quantities import digits, plural
 from armrig.numerics.regressors import in_blocks
-from armrig.plots.layout import BLUE, INK, SKY, finish, hertz, stacked
+from armrig.plots.layout import BLUE, INK, SKY, finish, hertz, stack_panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -211,11 +211,11 @@ def _levels(u: Vector) -> tuple[Vector, Vector, bool]:
 def plot_input(description: InputDescription) -> Figure:
     """Return a figure of an input: its first samples, its spectrum, and the time at each level."""
     d = description
-    figure, (time, spectrum, levels) = stacked((6.5, 7.0), (1, 1.2, 0.8))
-    shown = min(_MAX_SHOWN_SAMPLES, d.u.size)
-    whole = "" if shown == d.u.size else f", the first {shown} of {d.u.size} samples"
-    time.step(d.Ts * np.arange(shown), d.u[:shown], where="post", color=INK, lw=0.8)
-    time.set_xlabel(f"$t$ [s]{whole}")
+    figure, (time, spectrum, levels) = stack_panels((6.5, 7.0), (1, 1.2, 0.8))
+    count = min(_MAX_SHOWN_SAMPLES, d.u.size)
+    note = "" if count == d.u.size else f", the first {count} of {d.u.size} samples"
+    time.step(d.Ts * np.arange(count), d.u[:count], where="post", color=INK, lw=0.8)
+    time.set_xlabel(f"$t$ [s]{note}")
     time.set_ylabel("$u$ [V]")
     if d.omega.size and d.std > 0:
         # Omit both ends: a logarithmic axis has no 0, and the density at Nyquist is not doubled.

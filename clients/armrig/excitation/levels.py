@@ -83,15 +83,15 @@ def within(u: ArrayLike, *, low: float = LOWEST_V, high: float = HIGHEST_V) -> V
     the index of the first such value.
     """
     require_levels(low=low, high=high)
-    given = column("u", u)
-    outside = ~((given >= low) & (given <= high))  # also finds NaN
+    values = column("u", u)
+    outside = ~((values >= low) & (values <= high))  # also finds NaN
     if outside.any():
         first = int(np.argmax(outside))
         raise InputError(
-            f"{np.count_nonzero(outside)} of {given.size} values outside {low:g} to {high:g} V, "
-            f"first u[{first}]={given[first]:g} V; scale or shift the signal"
+            f"{np.count_nonzero(outside)} of {values.size} values outside {low:g} to {high:g} V, "
+            f"first u[{first}]={values[first]:g} V; scale or shift the signal"
         )
-    return given
+    return values
 
 
 def require_levels(*, low: float, high: float) -> None:

@@ -17,7 +17,7 @@ SEEDED = ("telegraph", "prbs", "white", "multisine")
 NAMES = (*SEEDED, "chirp")
 
 
-def named_signal(
+def signal_by_name(
     name: str, N: int, Ts: float, *, a: float, low: float, high: float, seed: int
 ) -> Vector:
     """Return the input (N,) with a given name, in V.
@@ -43,7 +43,7 @@ def named_signal(
 
 
 def details_of(name: str, *, a: float, low: float, high: float, seed: int) -> dict[str, Any]:
-    """Return the settings of an input of `named_signal`, to be stored in the recording."""
+    """Return the settings of an input of `signal_by_name`, to be stored in the recording."""
     details: dict[str, Any] = {"input": name}
     details |= {"a": a} if name in ("telegraph", "prbs") else {}
     details |= {"low": low, "high": high}

@@ -102,9 +102,9 @@ def pace_of(described: Description, seconds: float | None = None) -> Pace:
 
     Examples
     --------
-    >>> from armrig_core.rig.description import shipped
+    >>> from armrig_core.rig.description import builtin
     >>> from armrig.excitation.pace import pace_of
-    >>> pace = pace_of(shipped("tclab"))
+    >>> pace = pace_of(builtin("tclab"))
     >>> pace.Ts, pace.step_s
     (2.0, 905.0)
     """
@@ -116,11 +116,11 @@ def pace_of(described: Description, seconds: float | None = None) -> Pace:
     else:
         system.process.close()
         fast = slow = _time_to_settle(described)
-    given = described.input
-    reach = min(_HIGH_V, _SHARE * given.u_max_v)
-    if given.rest_v:
-        reach = _SHARE * min(given.rest_v, given.u_max_v - given.rest_v)
-    rest = np.array(model.offset or [0.0] * len(described.outputs))
+    port = described.input
+    reach = min(_HIGH_V, _SHARE * port.u_max_v)
+    if port.rest_v:
+        reach = _SHARE * min(port.rest_v, port.u_max_v - port.rest_v)
+    rest_y = np.array(model.offset or [0.0] * len(described.outputs))
 
     def of_length(length: float, step_s: float) -> Pace:
         Ts = system.Ts or _sampling_time(fast, length)
@@ -130,10 +130,10 @@ def pace_of(described: Description, seconds: float | None = None) -> Pace:
             seconds=max(length, Ts),
             switch=float(np.clip(max(2 / slow, _FEWEST_SWITCHES / length) * Ts, 0.01, 0.5)),
             step_s=max(step_s, 12 * Ts),
-            high=given.rest_v + reach,
-            rest_v=given.rest_v,
+            high=port.rest_v + reach,
+            rest_v=port.rest_v,
         )
-        return _within_limits(pace, described, rest)
+        return _within_limits(pace, described, rest_y)
 
     # A rehearsal of own equations takes 4 s of the processor at most.
     most = _MOST_SAMPLES if described.equations is None else _MOST_OF_EQUATIONS
@@ -141,22 +141,22 @@ def pace_of(described: Description, seconds: float | None = None) -> Pace:
     length = seconds or max(least_s, min(30.0, most * _sampling_time(fast, 30.0)))
     step_s = max(3.0, float(np.ceil(5 * slow + 2 * model.delay_s)))
     tried = [of_length(length, step_s)]
-    if seconds is None and tried[0].high - given.rest_v < _SMALL * reach:
+    if seconds is None and tried[0].high - port.rest_v < _SMALL * reach:
         # An output that integrates goes less far in a shorter experiment.
         tried += [of_length(length / n, step_s / n) for n in (2, 4, 8)]
     levels = [pace.high - pace.rest_v for pace in tried]
-    found = next(p for p, v in zip(tried, levels, strict=True) if v >= _ENOUGH * max(levels))
-    _require_motion(found, described, rest)
-    return found
+    best = next(p for p, v in zip(tried, levels, strict=True) if v >= _ENOUGH * max(levels))
+    _require_motion(best, described, rest_y)
+    return best
 
 
 def pace_inside(described: Description, u_max_v: float) -> Pace | None:
     """Return the pace of a rig with matrices, up to a voltage; None for the arm, or without one."""
     if described.arm or described.system is None:
         return None
-    given = msgspec.structs.replace(described.input, u_max_v=min(u_max_v, described.input.u_max_v))
+    port = msgspec.structs.replace(described.input, u_max_v=min(u_max_v, described.input.u_max_v))
     with suppress(InputError):  # no levels suit the limits: a rehearsal refuses with the reason
-        return pace_of(replace(described, input=given))
+        return pace_of(replace(described, input=port))
     return None
 
 
@@ -179,8 +179,8 @@ def _time_constants(system: System) -> tuple[float, float]:
 
 def _time_to_settle(described: Description) -> float:
     """Return the time constant of own equations: 63 % of a step to half of the range, in s."""
-    given, found = described.input, 1.0
-    u = [(given.rest_v + given.u_max_v) / 2] * _HORIZON_SAMPLES
+    port, time_s = described.input, 1.0
+    u = [(port.rest_v + port.u_max_v) / 2] * _HORIZON_SAMPLES
     for horizon in _HORIZONS_S:
         process = require_model(described)[1].process
         if process is None:
@@ -189,18 +189,18 @@ def _time_to_settle(described: Description) -> float:
             y = process.run(u, horizon / len(u))
         moved = np.abs(y[:, int(np.argmax(np.abs(y[-1])))])
         before, end = moved.reshape(4, -1).mean(axis=1)[2:]
-        found = horizon / len(u) * float(1 + np.argmax(moved >= _RISEN * end))
+        time_s = horizon / len(u) * float(1 + np.argmax(moved >= _RISEN * end))
         if 0 < abs(end - before) <= _SETTLED * end:
             break
-    return found
+    return time_s
 
 
-def _within_limits(pace: Pace, described: Description, rest: NDArray[np.float64]) -> Pace:
+def _within_limits(pace: Pace, described: Description, rest_y: NDArray[np.float64]) -> Pace:
     """Return the pace with levels at which each output stays within its limits."""
     outputs = described.outputs
     for _ in range(_MAX_ROUNDS):
-        fall, rise = _motion(pace, described, rest)
-        share = _SHARE * min(_rooms(outputs.values(), rest, fall, rise), default=inf)
+        fall, rise = _motion(pace, described, rest_y)
+        share = _SHARE * min(_rooms(outputs.values(), rest_y, fall, rise), default=inf)
         if share >= 1:
             break
         reach = floor(100 * share * (pace.high - pace.rest_v)) / 100
@@ -208,12 +208,12 @@ def _within_limits(pace: Pace, described: Description, rest: NDArray[np.float64]
     return pace
 
 
-def _require_motion(pace: Pace, described: Description, rest: NDArray[np.float64]) -> None:
+def _require_motion(pace: Pace, described: Description, rest_y: NDArray[np.float64]) -> None:
     """Raise InputError if the input or each output hardly moves, or an output reaches a limit."""
-    fall, rise = _motion(pace, described, rest)
-    room = min(_rooms(described.outputs.values(), rest, fall, rise), default=inf)
+    fall, rise = _motion(pace, described, rest_y)
+    room = min(_rooms(described.outputs.values(), rest_y, fall, rise), default=inf)
     steps = [abs(c.step(_COUNTS / 2)) * _STEP_COUNTS for c in described.conversions]
-    moves = (rise - fall) / np.array(steps)[: len(rest)]
+    moves = (rise - fall) / np.array(steps)[: len(rest_y)]
     if room < 1 or pace.high - pace.low < _MIN_STEPS * _STEP_V or moves.max() < _MIN_STEPS:
         raise InputError(
             f"within the limits the input goes to {digits(pace.high, 3)} V, where "
@@ -223,25 +223,25 @@ def _require_motion(pace: Pace, described: Description, rest: NDArray[np.float64
 
 
 def _motion(
-    pace: Pace, described: Description, rest: NDArray[np.float64]
+    pace: Pace, described: Description, rest_y: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the least and the largest change of each output from rest in all experiments."""
     free = {name: msgspec.structs.replace(o, **_NO_LIMITS) for name, o in described.outputs.items()}
     unlimited = replace(described, outputs=free)
     inputs = (np.rint(u / _STEP_V) * _STEP_V for u in (pace.step(), *map(pace.telegraph, _SEEDS)))
-    found = [[*(rehearse_outputs(u, pace.Ts, unlimited).outputs or {}).values()] for u in inputs]
-    fall, rise = (np.array([[o[side] for o in one] for one in found]) for side in (0, 1))
-    return fall.min(axis=0) - rest, rise.max(axis=0) - rest
+    runs = [[*(rehearse_outputs(u, pace.Ts, unlimited).outputs or {}).values()] for u in inputs]
+    fall, rise = (np.array([[o[side] for o in run] for run in runs]) for side in (0, 1))
+    return fall.min(axis=0) - rest_y, rise.max(axis=0) - rest_y
 
 
 def _rooms(
     outputs: Iterable[Output],
-    rest: NDArray[np.float64],
+    rest_y: NDArray[np.float64],
     fall: NDArray[np.float64],
     rise: NDArray[np.float64],
 ) -> Iterator[float]:
     """Yield the way to each limit, as a multiple of the way that the output makes."""
-    for o, y, down, up in zip(outputs, rest, fall, rise, strict=True):
+    for o, y, down, up in zip(outputs, rest_y, fall, rise, strict=True):
         turns = o.turns * tau or inf
         for way, room in ((up, min(o.high - y, turns)), (-down, min(y - o.low, turns))):
             if way > 0 and isfinite(room):

@@ -12,7 +12,7 @@ from armrig_core.rig.calibration import THETA_1
 from numpy.typing import ArrayLike
 
 from armrig.data.dataset import Dataset, Vector
-from armrig.excitation.experiment_design import PredictedStd, inverted, planned_data
+from armrig.excitation.experiment_design import PredictedStd, cr_bound, input_dataset
 from armrig.numerics.checks import require_numbers
 from armrig.numerics.quantities import number
 from armrig.physics.grey_box.physical_models import Model, Physics
@@ -86,7 +86,7 @@ def predicted_parameter_std(
         raise InputError(
             f"noise_variance={noise_variance!r} must be > 0, in the squared unit of the output"
         )
-    planned = planned_data(u, Ts)
+    planned = input_dataset(u, Ts)
     physics = Physics(model=model, fixed=p, outputs=(output,))
     physics.check()
     theta = {name: float(getattr(p, name)) for name in free}
@@ -95,8 +95,8 @@ def predicted_parameter_std(
     problem = Shooting.of(physics, (*theta,), asdict(p), parts).changed(std=np.ones(1))
     z = problem.from_rest(problem.coordinates.of(values.tolist()))
     Psi, slopes, _ = problem.at(z)
-    one = np.eye(values.size)
-    return inverted(Psi / slopes, noise_variance, (*theta,), values, planned, one, DERIVATIVE_ERROR)
+    eye = np.eye(values.size)
+    return cr_bound(Psi / slopes, noise_variance, (*theta,), values, planned, eye, DERIVATIVE_ERROR)
 
 
 def arm_deviations(u: Vector, Ts: float, *, alone: bool) -> list[str]:
@@ -105,12 +105,12 @@ def arm_deviations(u: Vector, Ts: float, *, alone: bool) -> list[str]:
         return []
     model, free = (chassis, ("J_1",)) if alone else (arm, ("J_1", "J_2"))
     try:
-        found = predicted_parameter_std(
+        prediction = predicted_parameter_std(
             model, u, Ts=Ts, noise_variance=_NOISE_RAD**2, free=free, fixed=ArmParameters()
         )
     except ValueError:
         return [f"nothing of {' and '.join(free)}"]
     return [
         f"{name} to ± {number(100 * std / value)} %" if std < value else f"nothing of {name}"
-        for name, value, std in zip(found.names, found.theta, found.std, strict=True)
+        for name, value, std in zip(prediction.names, prediction.theta, prediction.std, strict=True)
     ]

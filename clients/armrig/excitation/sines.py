@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 from armrig_core.errors import InputError
-from armrig_core.process.calls import checked_call
+from armrig_core.process.calls import with_argument_checks
 
 from armrig.data.columns import interval
 from armrig.excitation.levels import Vector, generator, require_levels, within
@@ -114,7 +114,7 @@ def _lines(lines: Iterable[int] | None, P: int) -> np.ndarray[tuple[int], np.dty
     return np.fromiter(chosen, dtype=np.intp, count=len(chosen))
 
 
-@checked_call
+@with_argument_checks
 def chirp(
     N: int,
     Ts: float,

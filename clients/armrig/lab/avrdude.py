@@ -96,23 +96,23 @@ def loader(program: str, port: str) -> str:
     Raises OperationError if the boot loader does not answer, or is not Optiboot.
     """
     try:
-        said = _run(_question(program, port, LOADER_BAUD), _ignore, _UNTOUCHED)
+        output = _run(_question(program, port, LOADER_BAUD), _ignore, _UNTOUCHED)
     except OperationError as silent:
         try:
             _run(_question(program, port, OLD_LOADER_BAUD), _ignore, _UNTOUCHED)
         except OperationError:
             raise silent from None
         raise OperationError(_OLD_LOADER) from None
-    found = re.search(r"Firmware Version *: *(\d+)\.(\d+)", said)
-    if found is None or int(found[1]) < OPTIBOOT_MAJOR:
+    match = re.search(r"Firmware Version *: *(\d+)\.(\d+)", output)
+    if match is None or int(match[1]) < OPTIBOOT_MAJOR:
         raise OperationError(_OLD_LOADER)
-    return f"{found[1]}.{found[2]}"
+    return f"{match[1]}.{match[2]}"
 
 
 def _question(program: str, port: str, baud: int) -> list[str]:
     """Return the command line that reads a boot loader's version and writes nothing."""
-    chosen = ("-p", CHIP.lower(), "-c", "arduino", "-P", port, "-b", str(baud))
-    return [program, *chosen, "-x", "attempts=3", "-v"]
+    options = ("-p", CHIP.lower(), "-c", "arduino", "-P", port, "-b", str(baud))
+    return [program, *options, "-x", "attempts=3", "-v"]
 
 
 def command(program: str, *, port: str, image: Path) -> list[str]:
@@ -136,18 +136,18 @@ def write(call: Sequence[str], moved: Moved) -> None:
 
 def _run(call: Sequence[str], moved: Moved, after: str) -> str:
     """Run avrdude, and return its messages. `after` is the end of an error's message."""
-    none, said = subprocess.DEVNULL, ""
+    none, output = subprocess.DEVNULL, ""
     with subprocess.Popen(
         call, stdin=none, stdout=none, stderr=subprocess.PIPE, text=True, errors="replace"
     ) as avrdude:
         ends = Timer(_TIMEOUT_S, avrdude.kill)
         ends.start()
         try:
-            shown = cast("IO[str]", avrdude.stderr)
-            while character := shown.read(1):  # a bar grows within its line
-                said += character
+            stderr = cast("IO[str]", avrdude.stderr)
+            while character := stderr.read(1):  # a bar grows within its line
+                output += character
                 if character in "#\n":
-                    moved(*progress(said))
+                    moved(*progress(output))
             avrdude.wait()
         except KeyboardInterrupt as err:
             raise KeyboardInterrupt(f"interrupted; {after}") from err
@@ -158,29 +158,29 @@ def _run(call: Sequence[str], moved: Moved, after: str) -> str:
     if is_late:
         raise OperationError(f"avrdude did not end within {_TIMEOUT_S:.0f} s; {after}")
     if avrdude.returncode:
-        raise OperationError(reason(said, after))
-    return said
+        raise OperationError(reason(output, after))
+    return output
 
 
 def _ignore(done: int, total: int, name: str) -> None:
     """Ignore the progress."""
 
 
-def progress(said: str) -> tuple[int, int, str]:
+def progress(output: str) -> tuple[int, int, str]:
     """Return the number of blocks done, the number of all blocks, and the current step."""
-    bars = _BAR.findall(said)
+    bars = _BAR.findall(output)
     if not any(doing == "Writing" for doing, _ in bars):  # avrdude first reads the signature
         return 0, _BLOCKS, "asking the boot loader"
     doing, blocks = bars[-1]
     return len(blocks), _BLOCKS, "writing" if doing == "Writing" else "reading back"
 
 
-def reason(said: str, after: str = _INCOMPLETE) -> str:
+def reason(output: str, after: str = _INCOMPLETE) -> str:
     """Return the reason why avrdude failed, in one line."""
     for pattern, meaning in _REASONS:
-        if re.search(pattern, said, re.IGNORECASE):
+        if re.search(pattern, output, re.IGNORECASE):
             return meaning
-    lines = [line.strip() for line in said.splitlines()]
+    lines = [line.strip() for line in output.splitlines()]
     lines = [line for line in lines if re.match(r"avrdude(?: error| OS error)?: ", line)]
     # avrdude always ends with this message on a port without modem lines (a pseudo-terminal).
     lines = [line for line in lines if "ioctl(" not in line]
@@ -189,7 +189,7 @@ def reason(said: str, after: str = _INCOMPLETE) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Board:
+class SerialBoard:
     """A board at a serial port."""
 
     port: str
@@ -204,7 +204,7 @@ class Board:
         return f"{self.name} at {self.port}"
 
 
-def plugged_in() -> list[Board]:
+def usb_boards() -> list[SerialBoard]:
     """Return the boards that are connected by USB, in the order of their ports."""
     from serial.tools.list_ports import comports
 
@@ -215,7 +215,7 @@ def plugged_in() -> list[Board]:
     ]
 
 
-def chosen(port: str | None, boards: Sequence[Board]) -> Board:
+def choose_board(port: str | None, boards: Sequence[SerialBoard]) -> SerialBoard:
     """Return the board at `port`, or the only Uno that is plugged in.
 
     Raises OperationError if `port` does not exist or belongs to a Leonardo, or if `port` is None
@@ -236,7 +236,7 @@ def chosen(port: str | None, boards: Sequence[Board]) -> Board:
     raise OperationError(msg)
 
 
-def refuse_leonardo(port: str, boards: Sequence[Board]) -> None:
+def refuse_leonardo(port: str, boards: Sequence[SerialBoard]) -> None:
     """Raise OperationError if the board at `port` is a Leonardo, which kits of TCLab contain."""
     real = str(Path(port).resolve())
     for board in boards:
@@ -247,7 +247,7 @@ def refuse_leonardo(port: str, boards: Sequence[Board]) -> None:
 
 
 @contextmanager
-def held(board: Board) -> Iterator[None]:
+def lock_port(board: SerialBoard) -> Iterator[None]:
     """Lock the board's port during the block, so that no daemon uses it.
 
     A daemon locks its port in the same way. If a daemon holds the port, no byte is sent, and the
@@ -280,7 +280,7 @@ def held(board: Board) -> Iterator[None]:
         os.close(fd)
 
 
-def _at(port: str, boards: Sequence[Board]) -> Board:
+def _at(port: str, boards: Sequence[SerialBoard]) -> SerialBoard:
     if not Path(port).exists():
         there = f"; there is {_list(boards)}" if boards else ""
         raise OperationError(f"{port} does not exist{there}")
@@ -288,18 +288,18 @@ def _at(port: str, boards: Sequence[Board]) -> Board:
     for board in boards:
         if board.port == real:
             return replace(board, port=port)
-    return Board(port=port, name="unknown board: no USB device", is_uno=False)
+    return SerialBoard(port=port, name="unknown board: no USB device", is_uno=False)
 
 
-def _board(port: str, vendor: int, product: int, description: str) -> Board:
+def _board(port: str, vendor: int, product: int, description: str) -> SerialBoard:
     uno, is_leonardo = _UNOS.get((vendor, product)), (vendor, product) in _LEONARDOS
     unknown = f"unknown board: {description or 'without a name'}"
     name = uno or ("Arduino Leonardo" if is_leonardo else unknown)
     name += f" ({vendor:04X}:{product:04X})"
-    return Board(port=port, name=name, is_uno=bool(uno), is_leonardo=is_leonardo)
+    return SerialBoard(port=port, name=name, is_uno=bool(uno), is_leonardo=is_leonardo)
 
 
-def _list(boards: Sequence[Board]) -> str:
+def _list(boards: Sequence[SerialBoard]) -> str:
     return ", ".join(map(str, boards))
 
 

@@ -18,8 +18,8 @@ from armrig_core.process.printable import plural
 
 from armrig.lab.host import (
     PRIORITY,
-    Host,
     HostCheck,
+    InspectedHost,
     Level,
     governors,
     load,
@@ -61,15 +61,15 @@ def doctor(rig: str = "1", connect: str | None = None) -> list[HostCheck]:
     """
     daemon, silent = _daemon_of(rig, connect)
     granted = probe(Path(daemon.recordings) if daemon else None)
-    return examine(Host(root=Path("/"), granted=granted, daemon=daemon, silent=silent))
+    return examine(InspectedHost(root=Path("/"), granted=granted, daemon=daemon, silent=silent))
 
 
 def _daemon_of(rig: str, connect: str | None) -> tuple[StatusReport | None, str]:
     """Return the status of this machine's daemon, or the reason why there is no status."""
     from armrig.rig.client import Rig
-    from armrig.rig.session import RigError, configured_endpoint, is_served, local_rigs
+    from armrig.rig.session import RigError, client_endpoint, is_served, local_rigs
 
-    where = connect or configured_endpoint(rig)
+    where = connect or client_endpoint(rig)
     if not where.startswith(_SOCKET):
         if connect:
             raise InputError(
@@ -87,12 +87,12 @@ def _daemon_of(rig: str, connect: str | None) -> tuple[StatusReport | None, str]
     return (status, "") if status.host else (None, "the daemon has not reported yet: try again")
 
 
-def examine(host: Host) -> list[HostCheck]:
+def examine(host: InspectedHost) -> list[HostCheck]:
     """Examine a host with all checks."""
     return [
-        HostCheck(name=name, level=level, found=found, costs=costs, mend=mend)
-        for name, examined in _CHECKS.items()
-        for level, found, costs, mend in examined(host)
+        HostCheck(name=name, level=level, found=finding, costs=costs, mend=mend)
+        for name, check in _CHECKS.items()
+        for level, finding, costs, mend in check(host)
     ]
 
 
@@ -113,7 +113,7 @@ def brief(checks: Sequence[HostCheck]) -> str:
     return "\n".join(lines)
 
 
-def _daemon(host: Host) -> list[_Found]:
+def _daemon(host: InspectedHost) -> list[_Found]:
     if host.silent:
         return _note("does not answer", host.silent)
     if host.daemon is None:
@@ -121,24 +121,24 @@ def _daemon(host: Host) -> list[_Found]:
     return _good(f"rig {host.daemon.rig} at {host.daemon.endpoint}")
 
 
-def _refused(daemon: StatusReport, what: str) -> str:
+def _remedy(daemon: StatusReport, right: str) -> str:
     """Return the remedy for a right that the daemon's loop lacks; "" if the right was granted."""
     # The daemon reports a refused right by its name, followed by the remedy in brackets.
     reported = daemon.host.get("refused", [])
     lines = [str(line) for line in (reported if isinstance(reported, list) else [reported])]
-    line = next((line for line in lines if line.startswith(what)), "")
+    line = next((line for line in lines if line.startswith(right)), "")
     return line.partition("(")[2].removesuffix(")") or line
 
 
-def _fifo(host: Host) -> list[_Found]:
+def _fifo(host: InspectedHost) -> list[_Found]:
     if host.silent:
         return []
     if host.daemon is not None:
         fifo = host.daemon.host.get("fifo")
         if not fifo:
-            way = _refused(host.daemon, "SCHED_FIFO") or "[timing] priority is 0"
+            way = _remedy(host.daemon, "SCHED_FIFO") or "[timing] priority is 0"
             return _bad("the daemon has none", _BUSY_COSTS, way)
-        if way := _refused(host.daemon, "priority"):
+        if way := _remedy(host.daemon, "priority"):
             costs = "programs with a higher priority delay ticks"
             return _note(f"the daemon has priority {fifo}", costs, way)
         return _good(f"the daemon has priority {fifo}")
@@ -151,11 +151,11 @@ def _fifo(host: Host) -> list[_Found]:
     )
 
 
-def _memory_lock(host: Host) -> list[_Found]:
+def _memory_lock(host: InspectedHost) -> list[_Found]:
     if host.silent:
         return []
     if host.daemon is not None:
-        if way := _refused(host.daemon, "mlockall"):
+        if way := _remedy(host.daemon, "mlockall"):
             return _bad("refused to the daemon", _PAGE_COSTS, way)
         return _good("the daemon has it")
     if host.granted.memory_lock:
@@ -167,12 +167,12 @@ def _memory_lock(host: Host) -> list[_Found]:
     )
 
 
-def _governor(host: Host) -> list[_Found]:
-    found = governors(host.root)
-    if not found:
+def _governor(host: InspectedHost) -> list[_Found]:
+    names = governors(host.root)
+    if not names:
         return _good("the kernel scales no frequency")
-    named = ", ".join(found)
-    if found == ["performance"]:
+    named = ", ".join(names)
+    if names == ["performance"]:
         return _good(named)
     return _bad(
         named,
@@ -181,7 +181,7 @@ def _governor(host: Host) -> list[_Found]:
     )
 
 
-def _idle(host: Host) -> list[_Found]:
+def _idle(host: InspectedHost) -> list[_Found]:
     deepest, name = 0, ""
     for state in (host.root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpuidle/state[0-9]*"):
         latency = text(state / "latency")
@@ -201,16 +201,16 @@ def _idle(host: Host) -> list[_Found]:
     )
 
 
-def _idle_right(host: Host) -> str:
+def _idle_right(host: InspectedHost) -> str:
     """Return how the daemon's loop, or this user, could prevent idle states; "" if it can."""
     if host.daemon is not None:
-        return _refused(host.daemon, "/dev/cpu_dma_latency")
+        return _remedy(host.daemon, "/dev/cpu_dma_latency")
     if os.access(host.root / "dev/cpu_dma_latency", os.W_OK):
         return ""
     return 'the udev rule `KERNEL=="cpu_dma_latency", GROUP="dialout", MODE="0660"`'
 
 
-def _swap(host: Host) -> list[_Found]:
+def _swap(host: InspectedHost) -> list[_Found]:
     rows = [row.split() for row in text(host.root / "proc/swaps").splitlines()[1:]]
     used_kb = sum(int(row[3]) for row in rows if len(row) > 3 and row[3].isdigit())
     if not used_kb:
@@ -222,7 +222,7 @@ def _swap(host: Host) -> list[_Found]:
     )
 
 
-def _preemption(host: Host) -> list[_Found]:
+def _preemption(host: InspectedHost) -> list[_Found]:
     model = preemption(host.root)
     if model == "PREEMPT_RT":
         return _good(model)
@@ -237,7 +237,7 @@ def _preemption(host: Host) -> list[_Found]:
     )
 
 
-def _ftdi(host: Host) -> list[_Found]:
+def _ftdi(host: InspectedHost) -> list[_Found]:
     files = sorted((host.root / "sys/bus/usb-serial/devices").glob("*/latency_timer"))
     checks: list[_Found] = []
     for file in files:
@@ -254,7 +254,7 @@ def _ftdi(host: Host) -> list[_Found]:
     return checks or _good("no such port here")
 
 
-def _kernel_workers(host: Host) -> list[_Found]:
+def _kernel_workers(host: InspectedHost) -> list[_Found]:
     ordinary = total = 0
     for process in (host.root / "proc").glob("[0-9]*"):
         name, _, fields = text(process / "stat").rpartition(") ")
@@ -273,7 +273,7 @@ def _kernel_workers(host: Host) -> list[_Found]:
     )
 
 
-def _throttling(host: Host) -> list[_Found]:
+def _throttling(host: InspectedHost) -> list[_Found]:
     kernel = host.root / "proc/sys/kernel"
     runtime, period = text(kernel / "sched_rt_runtime_us"), text(kernel / "sched_rt_period_us")
     if not re.fullmatch(r"-?\d+", runtime):
@@ -290,7 +290,7 @@ def _throttling(host: Host) -> list[_Found]:
     )
 
 
-def _virtual(host: Host) -> list[_Found]:
+def _virtual(host: InspectedHost) -> list[_Found]:
     fields = (text(host.root / "proc/stat").splitlines() or [""])[0].split()[1:9]
     ticks = [int(f) for f in fields if f.isdigit()]
     total = sum(ticks)
@@ -310,7 +310,7 @@ def _virtual(host: Host) -> list[_Found]:
     return _good("no")
 
 
-def _load(host: Host) -> list[_Found]:
+def _load(host: InspectedHost) -> list[_Found]:
     mean, cpus = load(host.root), host.granted.cpus
     if not mean > cpus:  # NaN is not reported
         return _good(f"{mean:g} on {plural(cpus, 'processor')}")
@@ -321,7 +321,7 @@ def _load(host: Host) -> list[_Found]:
     )
 
 
-def _serial_group(host: Host) -> list[_Found]:
+def _serial_group(host: InspectedHost) -> list[_Found]:
     if host.silent or host.daemon is not None:
         return []  # only the daemon's user must open the port
     ours = sorted(host.granted.groups & {"dialout", "uucp"})
@@ -334,7 +334,7 @@ def _serial_group(host: Host) -> list[_Found]:
     )
 
 
-def _disk(host: Host) -> list[_Found]:
+def _disk(host: InspectedHost) -> list[_Found]:
     free, where = host.granted.free_bytes, host.granted.recordings
     if free >= MIN_FREE_BYTES:
         return _good(f"{free / 2**30:.1f} GiB free in {where}")
@@ -345,7 +345,7 @@ def _disk(host: Host) -> list[_Found]:
     )
 
 
-_CHECKS: dict[str, Callable[[Host], list[_Found]]] = {
+_CHECKS: dict[str, Callable[[InspectedHost], list[_Found]]] = {
     "daemon": _daemon,
     "SCHED_FIFO": _fifo,
     "mlockall": _memory_lock,
@@ -364,13 +364,13 @@ _CHECKS: dict[str, Callable[[Host], list[_Found]]] = {
 """Function of each check, by the name of the check."""
 
 
-def _good(found: str) -> list[_Found]:
-    return [("good", found, "", "")]
+def _good(finding: str) -> list[_Found]:
+    return [("good", finding, "", "")]
 
 
-def _note(found: str, costs: str = "", mend: str = "") -> list[_Found]:
-    return [("note", found, costs, mend)]
+def _note(finding: str, costs: str = "", mend: str = "") -> list[_Found]:
+    return [("note", finding, costs, mend)]
 
 
-def _bad(found: str, costs: str, mend: str) -> list[_Found]:
-    return [("bad", found, costs, mend)]
+def _bad(finding: str, costs: str, mend: str) -> list[_Found]:
+    return [("bad", finding, costs, mend)]

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from armrig_core.recording_file.recording_directory import (
+    configuration_files,
     directory_of,
-    installed,
     recording_directory,
 )
 
@@ -38,11 +38,11 @@ print(json.dumps(prepare({PRIORITY}, None)))
 """
 
 
-def granted() -> tuple[bool, bool]:
+def probe_rights() -> tuple[bool, bool]:
     """Return whether SCHED_FIFO and mlockall are granted to a child process, as to the loop."""
     program = [sys.executable, "-c", _REQUEST]
-    found = json.loads(subprocess.run(program, capture_output=True, check=True).stdout)
-    return found["fifo"] == PRIORITY, found["mlockall"]
+    rights = json.loads(subprocess.run(program, capture_output=True, check=True).stdout)
+    return rights["fifo"] == PRIORITY, rights["mlockall"]
 
 
 def text(path: Path) -> str:
@@ -62,8 +62,8 @@ def preemption(root: Path) -> str:
         ("sys/kernel/debug/sched/preempt", r"\((\w+)\)"),
         ("proc/cmdline", r"(?:^|\s)preempt=(\w+)"),
     ):
-        if found := re.search(pattern, text(root / where)):
-            return found[1]
+        if match := re.search(pattern, text(root / where)):
+            return match[1]
     if "PREEMPT_DYNAMIC" in version:
         return "unknown (PREEMPT_DYNAMIC, chosen when the kernel starts)"
     return "full" if "PREEMPT" in version else "unknown"
@@ -107,11 +107,11 @@ class Granted:
 
 def probe(recordings: Path | None = None) -> Granted:
     """Determine this user's rights by a trial; `recordings` is by default the configured folder."""
-    fifo, memory_lock = granted()
+    fifo, memory_lock = probe_rights()
     directory = recordings or directory_of("")
     if recordings is None:
         with suppress(ValueError):  # the daemon reports the error
-            directory = recording_directory(installed(), os.environ)
+            directory = recording_directory(configuration_files(), os.environ)
     # If this user may not enter the folder, the disk of the nearest accessible parent is examined.
     there = next(path for path in (directory, *directory.parents) if os.access(path, os.F_OK))
     names = set()
@@ -149,7 +149,7 @@ class HostCheck:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Host:
+class InspectedHost:
     """A host: the root of its files, its rights, and the report of its daemon."""
 
     root: Path

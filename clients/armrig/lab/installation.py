@@ -50,7 +50,7 @@ _PART_OF: dict[str, Part] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class File:
+class ServiceFile:
     """A file of the service."""
 
     path: Path
@@ -78,13 +78,13 @@ class File:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class InstallationPlan:
     """Steps of an installation, carried out in the order of the fields."""
 
     first: tuple[tuple[str, ...], ...] = ()
     """Commands before the changes of files."""
-    written: tuple[File, ...] = ()
-    removed: tuple[File, ...] = ()
+    written: tuple[ServiceFile, ...] = ()
+    removed: tuple[ServiceFile, ...] = ()
     last: tuple[tuple[str, ...], ...] = ()
     """Commands after the changes of files."""
     kept: tuple[Path, ...] = ()
@@ -156,7 +156,7 @@ def parts_of(root: Path) -> set[Part]:
     return {file.part for file in files(root) if file.part and file.state != "missing"}
 
 
-def files(root: Path, parts: Collection[Part] = UNITS.keys()) -> list[File]:
+def files(root: Path, parts: Collection[Part] = UNITS.keys()) -> list[ServiceFile]:
     """Return the files of these parts of the service, with their paths below `root`.
 
     Raises ValueError if `root` is /, and the service could not start the `armrigd` of this
@@ -164,17 +164,17 @@ def files(root: Path, parts: Collection[Part] = UNITS.keys()) -> list[File]:
     """
     shipped = SHIPPED.removesuffix("d")
     program = _program().removesuffix("d") if root == _SYSTEM else shipped
-    found = []
+    shipped_files = []
     for path in sorted(_deploy().glob("*/*")):
         part = _PART_OF.get(path.name)
         if part is None or part in parts:
             text = path.read_text(encoding="utf-8").replace(shipped, program)
             there = root / _FOLDERS[path.parent.name] / path.name
-            found.append(File(path=there, text=text, part=part))
-    return found
+            shipped_files.append(ServiceFile(path=there, text=text, part=part))
+    return shipped_files
 
 
-def installing(root: Path, parts: Collection[Part] = _RIG_PARTS) -> Plan:
+def installing(root: Path, parts: Collection[Part] = _RIG_PARTS) -> InstallationPlan:
     """Return the plan that installs these parts and updates the parts already installed.
 
     The plan does not change files that are up to date.
@@ -182,18 +182,18 @@ def installing(root: Path, parts: Collection[Part] = _RIG_PARTS) -> Plan:
     at = _at(root)
     last = [("systemd-sysusers", *at), ("systemd-tmpfiles", *at, "--create", "armrig.conf")]
     wanted = files(root, {*parts, *parts_of(root)})
-    return Plan(
+    return InstallationPlan(
         written=tuple(file for file in wanted if file.state != "installed"),
         last=(*last, *_reloading(root)),
     )
 
 
-def uninstalling(root: Path) -> Plan:
+def uninstalling(root: Path) -> InstallationPlan:
     """Return the plan that removes the service; drop-ins of the administrator are kept."""
     units = tuple(unit.name for unit in units_of(root))
     now = ("--now",) if root == _SYSTEM else ()
     there = tuple(file for file in files(root) if file.state != "missing")
-    return Plan(
+    return InstallationPlan(
         first=(("systemctl", *_at(root), "disable", *now, *units),) if units else (),
         removed=there,
         last=tuple(_reloading(root)) if there else (),
@@ -211,21 +211,21 @@ def units_of(root: Path) -> list[Unit]:
     if root == _SYSTEM:
         listed = _output("systemctl", "list-units", "--all", "--plain", "--no-legend", *patterns)
         loaded = {line.split()[0] for line in listed.splitlines()}
-    found = [_unit(name, name in enabled, root) for name in sorted(enabled | loaded)]
-    return sorted(found, key=lambda unit: [*UNITS].index(unit.part))
+    units = [_unit(name, name in enabled, root) for name in sorted(enabled | loaded)]
+    return sorted(units, key=lambda unit: [*UNITS].index(unit.part))
 
 
 def _unit(name: str, enabled: bool, root: Path) -> Unit:
-    shown = ["", ""]
+    states = ["", ""]
     if root == _SYSTEM:
         asked = ("--property=ActiveState", "--property=StatusText")
-        shown = [
+        states = [
             line.split("=", 1)[1]
             for line in sorted(_output("systemctl", "show", name, *asked).splitlines())
         ]
     part = _PART_OF.get(name, "rig")
     rig = name.removeprefix("armrigd@").removesuffix(".service") if part == "rig" else ""
-    return Unit(part=part, rig=rig, enabled=enabled, active=shown[0], status=shown[1])
+    return Unit(part=part, rig=rig, enabled=enabled, active=states[0], status=states[1])
 
 
 def run_command(command: Sequence[str]) -> None:

@@ -164,10 +164,10 @@ def revoke(directory: Path, name: str) -> None:
     _put_on_list(directory, name, "revoked")
 
 
-def issued(directory: Path) -> list[Issued]:
+def list_certificates(directory: Path) -> list[Issued]:
     """Return the certificates in the authority's folder that the authority has issued."""
     people = read_access_list(directory / ACCESS_LIST)
-    found = []
+    certificates = []
     for path in sorted(directory.glob("*.pem")):
         name = path.stem
         role = people.role(name)
@@ -177,8 +177,8 @@ def issued(directory: Path) -> list[Issued]:
             role = ROUTER
         if name != Path(_CERTIFICATE).stem:
             expires = _read_certificates(path)[0].not_valid_after_utc
-            found.append(Issued(name, role or "on no list", expires, path))
-    return found
+            certificates.append(Issued(name, role or "on no list", expires, path))
+    return certificates
 
 
 def _refuse_revoked(directory: Path, name: str) -> None:

@@ -25,7 +25,7 @@ from armrig_core.access.owned_session import (
     strangers,
     transport,
 )
-from armrig_core.commands.commands import Calibrate, Run
+from armrig_core.commands.commands import CalibrateRequest, RunRequest
 from armrig_core.errors import OperationError
 from armrig_core.process import open_files
 from armrig_core.telemetry.topics import EVERY_RIG, command_key
@@ -34,7 +34,7 @@ MOST_LINKS = 500
 """Largest number of connected rigs and people."""
 _UPLOADS = lane(
     "uploads",
-    [command_key(EVERY_RIG, command.name, "*") for command in (Run, Calibrate)],
+    [command_key(EVERY_RIG, command.name, "*") for command in (RunRequest, CalibrateRequest)],
     "data_low",
     "block",  # a part of a long command must not be dropped
 )

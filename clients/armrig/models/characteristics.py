@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from armrig.models.responses import root_derivatives
 from armrig.models.state_space import Complex, Vector
-from armrig.models.uncertainty import Draws, directions, drawn, pole_regions
-from armrig.numerics.confidence_regions import MIN_DRAWS, Band, band, linearised_band, sampled_band
-from armrig.numerics.polynomial import evaluate, filtered, roots, without_integrator
+from armrig.models.uncertainty import Draws, directions, parameter_draws, pole_regions
+from armrig.numerics.confidence_regions import MIN_DRAWS, Band, band, band_of_draws, linear_band
+from armrig.numerics.polynomial import apply_filter, evaluate, roots, without_integrator
 from armrig.numerics.step_times import mean_lag, rise_time, slowest_time
 from armrig.numerics.whiteness import joint_p_value
 
@@ -104,13 +104,13 @@ def model_characteristics(model: Fit) -> ModelCharacteristics:
     if model.Ts == 0:
         model = model.to_discrete()
     integrating = integrates(model)
-    own = _scalars(model, model.theta, integrating=integrating)
+    scalars = _scalars(model, model.theta, integrating=integrating)
     s = _continuous(model, integrating=integrating)
     with np.errstate(divide="ignore", invalid="ignore"):
         spread = model.poles().std / (np.abs(model.poles().values) * model.Ts)  # ds = dz / (z Ts)
     order = np.argsort(np.abs(s))
     std = _deviations(model, integrating=integrating)
-    draws = drawn(model, n=DRAWS)
+    draws = parameter_draws(model, n=DRAWS)
     sampled = np.array([r.method == "sampled" for r in pole_regions(model)], dtype=bool)
     return ModelCharacteristics(
         integrating=integrating,
@@ -118,35 +118,35 @@ def model_characteristics(model: Fit) -> ModelCharacteristics:
         poles_std=spread[order],
         poles_sampled=sampled[order],
         std=std,
-        ranges=_ranges(model, own, std, draws, integrating=integrating),
+        ranges=_ranges(model, scalars, std, draws, integrating=integrating),
         draws=draws,
-        **own,
+        **scalars,
     )
 
 
 def _ranges(
     model: Fit,
-    own: dict[str, float],
+    values: dict[str, float],
     std: dict[str, float],
     draws: Draws | None,
     *,
     integrating: bool,
 ) -> dict[str, Band]:
     if draws is None:
-        return {name: band(own[name], std[name], None) for name in SCALARS}
+        return {key: band(values[key], std[key], None) for key in SCALARS}
     with np.errstate(all="ignore"):
         rows = [_scalars(model, theta, integrating=integrating) for theta in draws.theta]
-    return {name: _range(own[name], std[name], np.array([r[name] for r in rows])) for name in own}
+    return {key: _range(values[key], std[key], np.array([r[key] for r in rows])) for key in values}
 
 
 def _range(value: float, std: float, samples: Vector) -> Band:
-    there = samples[np.isfinite(samples)]
-    if np.isnan(value) or there.size < max((1 - MAX_INVALID_SHARE) * samples.size, MIN_DRAWS):
+    finite = samples[np.isfinite(samples)]
+    if np.isnan(value) or finite.size < max((1 - MAX_INVALID_SHARE) * samples.size, MIN_DRAWS):
         unknown = np.array(np.nan)
         return Band(low=unknown, high=unknown, method="sampled")
-    if np.ptp(there) <= _SPREAD_ROUNDING * max(1.0, abs(value)):
-        return linearised_band(value, std)
-    return band(value, std, there) if np.isfinite(std) else sampled_band(there)
+    if np.ptp(finite) <= _SPREAD_ROUNDING * max(1.0, abs(value)):
+        return linear_band(value, std)
+    return band(value, std, finite) if np.isfinite(std) else band_of_draws(finite)
 
 
 def _deviations(model: Fit, *, integrating: bool) -> dict[str, float]:
@@ -207,13 +207,13 @@ def _scalars(model: Fit, theta: Vector, *, integrating: bool) -> dict[str, float
         return by_B.imag * abs(F_w) ** 2 - by_F.imag * abs(B_w) ** 2
 
     modulus = np.abs(roots(F))
-    y = filtered(B, F, np.ones(_length(modulus)))
+    y = apply_filter(B, F, np.ones(_length(modulus)))
     dead = max(model.nk - 1, 0)
-    answer = y / gain
+    step_response = y / gain
     # The area of a rate is exact, because a rate is a mean over each interval. The area of an
     # output is computed by the trapezoidal rule.
-    first = 1.0 if integrating else 0.5 * (1 - float(answer[dead]))
-    shown = (model.Ts * np.cumsum(answer) if integrating else answer)[dead:]
+    first = 1.0 if integrating else 0.5 * (1 - float(step_response[dead]))
+    output_response = (model.Ts * np.cumsum(step_response) if integrating else step_response)[dead:]
     with np.errstate(divide="ignore"):
         decay = np.log(modulus) / model.Ts
     return {
@@ -221,10 +221,10 @@ def _scalars(model: Fit, theta: Vector, *, integrating: bool) -> dict[str, float
         "resonance": _extreme(omega, of_grid, slope, sign=1),
         "antiresonance": _extreme(omega, of_grid, slope, sign=-1),
         "bandwidth": _first_below(omega, of_grid, gain**2 / 2),
-        "rise_time": rise_time(shown, model.Ts, integrated=integrating),
+        "rise_time": rise_time(output_response, model.Ts, integrated=integrating),
         "equivalent_time": model.Ts * (mean_lag(B, F) - first - dead),
         "slowest_time": slowest_time(decay),
-        "overshoot": 100 * max(float(np.max(answer)) - 1, 0.0),
+        "overshoot": 100 * max(float(np.max(step_response)) - 1, 0.0),
     }
 
 
@@ -250,10 +250,10 @@ def _extreme(
     from scipy.signal import find_peaks
 
     level = sign * 10 * np.log10(np.maximum(of_grid, 1e-300))
-    at, of = find_peaks(level, prominence=1.0)
-    if at.size == 0:
+    peaks, properties = find_peaks(level, prominence=1.0)
+    if peaks.size == 0:
         return float("nan")
-    i = int(at[np.argmax(of["prominences"])])
+    i = int(peaks[np.argmax(properties["prominences"])])
     # The slope is 0 at the Nyquist frequency, the last point.
     low, high = float(omega[i - 1]), float(omega[i + 1]) * (1 - _NEAR_NYQUIST)
     if slope(low) * slope(high) >= 0:
@@ -291,7 +291,7 @@ def overlapping(model: Fit) -> list[tuple[complex, complex, float]]:
     conjugate, only the pole above the real axis is listed.
     """
     zeros = _roots_by_theta(model, "b")
-    found = []
+    pairs = []
     for letter in ("a", "f"):
         for pole, by_pole in _roots_by_theta(model, letter):
             if pole.imag < 0 or (letter == model.integrating and abs(pole - 1) < 1e-6):
@@ -305,8 +305,8 @@ def overlapping(model: Fit) -> list[tuple[complex, complex, float]]:
                 s = np.array([apart.real, apart.imag])
                 p = joint_p_value(s, J @ model.trusted_covariance @ J.T)
                 if p >= CANCELLATION_LEVEL:
-                    found.append((complex(pole), complex(zero), p))
-    return sorted(found, key=lambda pair: abs(pair[0] - pair[1]))
+                    pairs.append((complex(pole), complex(zero), p))
+    return sorted(pairs, key=lambda pair: abs(pair[0] - pair[1]))
 
 
 def _roots_by_theta(model: Fit, letter: str) -> list[tuple[complex, Complex]]:

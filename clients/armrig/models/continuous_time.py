@@ -79,8 +79,8 @@ def continuous(fit: Fit) -> Fit:
         delay=(nk - 1) * fit.Ts,
         integrators=(fit.integrator,),
     )
-    whole = replace(trial, B=((numerator,),))
-    J = _derivatives(fit, whole, form)
+    input_response = replace(trial, B=((numerator,),))
+    J = _derivatives(fit, input_response, form)
     return replace(
         fit,
         structure="tf",
@@ -99,13 +99,13 @@ def _derivatives(fit: Fit, driven: TransferFunction, form: TransferFunction) -> 
     columns = np.r_[driven.slice_of("b"), driven.slice_of("f")]
     inverse = np.linalg.inv(forward[np.ix_(rows, columns)])
     by_theta = np.zeros((2 * n, fit.theta.size))  # of (b, f of the denominator A F)
-    own = fit.slice_of("b")
-    by_theta[: own.stop - own.start, own] = np.eye(own.stop - own.start)
+    b_slice = fit.slice_of("b")
+    by_theta[: b_slice.stop - b_slice.start, b_slice] = np.eye(b_slice.stop - b_slice.start)
     by_theta[n:, fit.slice_of("a")] = _products(fit.F, fit.A.size - 1, n)
     by_theta[n:, fit.slice_of("f")] = _products(fit.A, fit.F.size - 1, n)
     J = np.zeros((form.theta.size, fit.theta.size))
-    own = form.slice_of("b")
-    J[np.r_[own, form.slice_of("f")]] = (inverse @ by_theta)[n - own.stop + own.start :]
+    b_slice = form.slice_of("b")
+    J[np.r_[b_slice, form.slice_of("f")]] = (inverse @ by_theta)[n - b_slice.stop + b_slice.start :]
     if fit.integrator:
         J[form.slice_of("f").stop - 1] = 0.0
     C, D = form.slice_of("c"), form.slice_of("d")
@@ -117,10 +117,10 @@ def _derivatives(fit: Fit, driven: TransferFunction, form: TransferFunction) -> 
 
 def _products(p: Vector, count: int, size: int) -> Matrix:
     """Return the derivatives of p q by the coefficients q_1 … q_count, without that of q^0."""
-    found = np.zeros((size, count))
+    derivatives = np.zeros((size, count))
     for k in range(count):
-        found[k : k + p.size, k] = p
-    return found
+        derivatives[k : k + p.size, k] = p
+    return derivatives
 
 
 def _require_logarithms(fit: Fit, z: Complex) -> None:
@@ -228,16 +228,16 @@ def _of_roots(fit: Fit, letter: str, real: str, frequency: str, damping: str) ->
     reals = [k for k in order if s[k].imag == 0]
     pairs = [k for k in order if s[k].imag > 0]
 
-    def named(name: str, k: int, group: list[int]) -> str:
+    def label(name: str, k: int, group: list[int]) -> str:
         return name if len(group) == 1 else f"{name} {group.index(k) + 1}"
 
     rows: list[_Row] = [
-        (named(real, k, reals), -1 / s[k].real, ds[k].real / s[k].real ** 2, "s") for k in reals
+        (label(real, k, reals), -1 / s[k].real, ds[k].real / s[k].real ** 2, "s") for k in reals
     ]
     for k in pairs:
         size = abs(s[k])
         by_size = (np.conj(s[k]) * ds[k]).real / size
-        rows.append((named(frequency, k, pairs), size, by_size, "rad/s"))
+        rows.append((label(frequency, k, pairs), size, by_size, "rad/s"))
         by_damping = -ds[k].real / size + s[k].real * by_size / size**2
-        rows.append((named(damping, k, pairs), -s[k].real / size, by_damping, ""))
+        rows.append((label(damping, k, pairs), -s[k].real / size, by_damping, ""))
     return rows

@@ -13,7 +13,7 @@ from armrig.data.step import BIASED, Step, with_notes
 from armrig.models.estimate import Estimate
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.confidence_regions import Band
-from armrig.numerics.quantities import NBSP, digits, listed, near_one, places, plural, with_std
+from armrig.numerics.quantities import NBSP, digits, join_names, near_one, places, plural, with_std
 
 if TYPE_CHECKING:
     from armrig.models.fit import Fit
@@ -24,7 +24,7 @@ _MAX_DECIMALS = 9
 _MIN_FIT_PERCENT = 5.0  # a lower fit explains less than a tenth of the variance
 
 
-def described(fit: Fit) -> str:
+def description(fit: Fit) -> str:
     """Return a model as a few lines of text.
 
     The text of a model of several signals has a line for each output instead of the equation.
@@ -106,7 +106,7 @@ def signals(model: Fit) -> str:
 def input_and_output(model: Fit) -> str:
     """Return a line with the signals and the sampling time."""
     u, y = (
-        listed([_with_unit(name, unit) for name, unit in zip(names, units, strict=True)])
+        join_names([_with_unit(name, unit) for name, unit in zip(names, units, strict=True)])
         for names, units in ((model.inputs, model.input_units), (model.outputs, model.units))
     )
     if isinstance(model.form, TransferFunction):
@@ -129,16 +129,16 @@ def equations(model: Fit, *, with_std: bool = False) -> list[str]:
 
 def form(model: Fit) -> str:
     """Return the model's equation with the letters of its polynomials."""
-    known = letters(model)
+    model_letters = letters(model)
     of_q = {letter: f"{letter}({_variable(model, letter)})" for letter in "ABCDF"}
-    left = "A(q) y(t)" if "A" in known else "y(t)"
-    driven = f"{of_q['B']}/{of_q['F']}" if "F" in known else "B(q)"
+    left = "A(q) y(t)" if "A" in model_letters else "y(t)"
+    driven = f"{of_q['B']}/{of_q['F']}" if "F" in model_letters else "B(q)"
     noise = {
         (False, False): "e(t)",
         (True, False): "C(q) e(t)",
         (False, True): "1/D(q) e(t)",
         (True, True): "C(q)/D(q) e(t)",
-    }["C" in known, "D" in known]
+    }["C" in model_letters, "D" in model_letters]
     if model.structure in ("iv4", "channel"):
         noise = "v(t)"
     delayed = isinstance(model.form, TransferFunction) and model.form.delay > 0
@@ -173,18 +173,18 @@ def whiteness_sentence(fit: Fit, std: str = "std", robust: str = "std_robust") -
     whites = [q.white for q in fit.quality]
     coloured = [name for name, q in zip(fit.outputs, fit.quality, strict=True) if q.white.coloured]
     if fit.ny == 1:
-        of = "IV4's prewhitened residuals" if fit.structure == "iv4" else "residuals"
-        said = f"{of} {whites[0]}"
+        subject = "IV4's prewhitened residuals" if fit.structure == "iv4" else "residuals"
+        sentence = f"{subject} {whites[0]}"
     else:
-        of = f" of {listed(coloured)}" if coloured else ""
-        said = f"the residuals{of} are {'coloured' if coloured else 'white'}"
+        subject = f" of {join_names(coloured)}" if coloured else ""
+        sentence = f"the residuals{subject} are {'coloured' if coloured else 'white'}"
     if all(isnan(white.p_value) for white in whites):
-        return said
+        return sentence
     if explains_nothing(fit):
-        return f"{said}, but the model explains hardly anything of {listed(fit.outputs)}"
+        return f"{sentence}, but the model explains hardly anything of {join_names(fit.outputs)}"
     if not fit.trusts_coefficients:
-        return f"{said}: trust neither {std} nor {robust}"
-    return f"{said}: trust {f'{robust}, not {std}' if fit.trusts_robust else std}"
+        return f"{sentence}: trust neither {std} nor {robust}"
+    return f"{sentence}: trust {f'{robust}, not {std}' if fit.trusts_robust else std}"
 
 
 def latex(fit: Fit) -> str:
@@ -322,14 +322,14 @@ def with_method(name: str, band: Band) -> str:
     return f"{name}, 95 % {'by draws' if band.method == 'sampled' else band.method}"
 
 
-def left_out(of: Mapping[str, Draws | None], *, models: int) -> list[str]:
+def left_out(draws_by_name: Mapping[str, Draws | None], *, models: int) -> list[str]:
     """Return a line with the numbers of rejected draws of each model, if there are any."""
-    said = [
+    counts = [
         f"{name}: {d.left_out}" if models > 1 else d.left_out
-        for name, d in of.items()
+        for name, d in draws_by_name.items()
         if d is not None and d.left_out
     ]
-    return [f"draws left out: {'; '.join(said)}"] if said else []
+    return [f"draws left out: {'; '.join(counts)}"] if counts else []
 
 
 def short_lines(fit: Fit, *, roots: bool) -> list[str]:
@@ -343,11 +343,11 @@ def short_lines(fit: Fit, *, roots: bool) -> list[str]:
     std, which = (fit.std_robust, "σ robust") if fit.trusts_robust else (fit.std, "σ")
     texts: dict[str, list[str]] = {}
     for letter, first in ((x.lower(), int(x != "B" or fit.Ts > 0)) for x in letters(fit)):
-        own = fit.slice_of(letter)
-        each = zip(fit.theta[own], std[own], strict=True)
+        part = fit.slice_of(letter)
+        each = zip(fit.theta[part], std[part], strict=True)
         texts[f"{letter}{first} …"] = [with_std(float(x), float(s)) for x, s in each]
     lines = [f"  {_form_and_root(fit)}", f"  {signals(fit)}; below, ± is {which}"]
-    lines += [f"  {name}   {_listed(values)}" for name, values in texts.items()]
+    lines += [f"  {name}   {_number_list(values)}" for name, values in texts.items()]
     if roots and fit.Ts == 0:
         lines += [f"  {line}" for line in repr(fit.quantities()).splitlines()]
     elif roots:
@@ -355,10 +355,10 @@ def short_lines(fit: Fit, *, roots: bool) -> list[str]:
     return lines
 
 
-def _roots(found: Roots) -> str:
+def _roots(roots: Roots) -> str:
     """Return the roots and their standard deviations as text; a complex pair is one text."""
     texts = []
-    for z, (real, imag) in _each_root(found):
+    for z, (real, imag) in _each_root(roots):
         if z.imag > 0:
             least = min((s for s in (real, imag) if s > 0), default=0.0)
             decimals = min(places(least), _MAX_DECIMALS)
@@ -366,18 +366,18 @@ def _roots(found: Roots) -> str:
             texts.append(f"{pair} (σ {digits(real, 2)}, {digits(imag, 2)})")
         else:
             texts.append(near_one(z.real, real) if real else f"{z.real:g} (fixed)")
-    return _listed(texts) or "none"
+    return _number_list(texts) or "none"
 
 
-def _each_root(found: Roots) -> list[tuple[complex, list[float]]]:
+def _each_root(roots: Roots) -> list[tuple[complex, list[float]]]:
     """Return each real root and each pair, with the deviations of its real and imaginary part."""
     with np.errstate(invalid="ignore"):  # rounding may make a variance negative
-        stds = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
-    each = zip(found.values.tolist(), stds.tolist(), strict=True)
+        stds = np.sqrt(np.diagonal(roots.covariance, axis1=1, axis2=2))
+    each = zip(roots.values.tolist(), stds.tolist(), strict=True)
     return [(z, std) for z, std in each if z.imag >= 0]
 
 
-def _listed(numbers: Sequence[str]) -> str:
+def _number_list(numbers: Sequence[str]) -> str:
     """Return the numbers as text, separated by commas; a line break cannot divide a number."""
     return ", ".join(number.replace(" ", NBSP) for number in numbers)
 
@@ -386,7 +386,7 @@ def estimation_lines(fit: Fit) -> list[str]:
     """Return the equation, the coefficients with σ and σ robust, and the tests of a model."""
     if (fit.ny, fit.nu) != (1, 1):
         return list(_channel_lines(fit))
-    squared = _squared(fit.unit)
+    squared = _unit_squared(fit.unit)
     lines = [
         heading(fit),
         f"  {_form_and_root(fit)}",
@@ -440,8 +440,8 @@ def root_lines(fit: Fit) -> list[str]:
     """Return poles and zeros in the z plane or the s plane with their deviations, a row a pair."""
     root = f"root of {'z' if fit.Ts else 's'}"
     lines = [f"  {root:12} {'value':>22} {'σ':>10} {'σ of the imaginary part':>24}"]
-    for name, found in (("pole", fit.poles()), ("zero", fit.zeros())):
-        for z, (real, imag) in _each_root(found):
+    for name, roots in (("pole", fit.poles()), ("zero", fit.zeros())):
+        for z, (real, imag) in _each_root(roots):
             pair = f" ± {z.imag:.5f}i" if z.imag > 0 else ""
             std = f"{'fixed':>10}" if real == 0 and not pair else _std(real)
             lines.append(
@@ -520,7 +520,7 @@ def _std(std: float) -> str:
     return f"{digits(std, 2):>10}" if np.isfinite(std) else f"{'not known':>10}"
 
 
-def _squared(unit: str) -> str:
+def _unit_squared(unit: str) -> str:
     return f" ({unit})²" if "/" in unit else f" {unit}²" if unit else ""
 
 

@@ -14,7 +14,7 @@ from armrig.models.matrices import Matrices
 from armrig.models.polynomials import Polynomials
 from armrig.models.state_space import Matrix, Vector, freeze
 from armrig.models.structure import FreeResponse
-from armrig.models.structure_table import DESCRIBED, named
+from armrig.models.structure_table import DESCRIBED, orders_text
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics import criteria
 from armrig.numerics.curvature import doubts
@@ -43,14 +43,14 @@ Form = Polynomials | Matrices | TransferFunction
 T = TypeVar("T")
 
 
-def _of_form(of: Callable[[Any], T], doc: str) -> T:
+def _of_form(getter: Callable[[Any], T], doc: str) -> T:
     """Return a property of the polynomials of the only channel."""
-    return cast("T", property(lambda self: of(self._polynomials), doc=doc))
+    return cast("T", property(lambda self: getter(self._polynomials), doc=doc))
 
 
-def _of_quality(of: Callable[[OutputQuality], T], doc: str) -> T:
+def _of_quality(getter: Callable[[OutputQuality], T], doc: str) -> T:
     """Return a property of the quality of the only output."""
-    return cast("T", property(lambda self: of(self._quality), doc=doc))
+    return cast("T", property(lambda self: getter(self._quality), doc=doc))
 
 
 def _of_only(name: str, doc: str) -> str:
@@ -58,9 +58,9 @@ def _of_only(name: str, doc: str) -> str:
     return cast("str", property(lambda self: getattr(self, name)[self._only], doc=doc))
 
 
-def _criterion(of: Callable[[float, int, int], Any], doc: str) -> float:
+def _criterion(criterion: Callable[[float, int, int], Any], doc: str) -> float:
     """Return a property that compares models by loss, number of parameters and residuals."""
-    value = property(lambda self: float(of(self.loss, self.parameters, self.N)), doc=doc)
+    value = property(lambda self: float(criterion(self.loss, self.parameters, self.N)), doc=doc)
     return cast("float", value)
 
 
@@ -219,7 +219,7 @@ class Estimate:
     def heading(self) -> str:
         """Structure, and orders by their names, such as OE(nb=4, nf=4, nk=1)."""
         title = self.structure.upper() if self.quality else self.structure
-        return f"{title}({self.specification or named(self.orders)})"
+        return f"{title}({self.specification or orders_text(self.orders)})"
 
     def estimated_from(self, data: Dataset | Signals) -> bool:
         """Return whether the model was estimated from these data.

@@ -14,14 +14,14 @@ from armrig.models.equation import Labels, gain_unit, labels_of, left_out, sourc
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 from armrig.models.uncertainty import (
     Draws,
-    drawn,
     frequency_bands,
+    parameter_draws,
     pole_regions,
     step_band,
     zero_regions,
 )
 from armrig.numerics.confidence_regions import HALF_WIDTH, Band, HighestDensityRegion, Region
-from armrig.plots.captions import labelled, legend, sign
+from armrig.plots.captions import legend, sign, symbol_of
 from armrig.plots.layout import (
     GREY,
     INK,
@@ -88,21 +88,21 @@ def plot_bode(
     )
     ax, below = panels(ax, 0.42)
     levels: list[NDArray[np.float64]] = []
-    named = list(zip(models, names, strict=True))
-    curves = [one for one in named if not isinstance(one[0], SpectralEstimate)]
+    named_models = list(zip(models, names, strict=True))
+    curves = [pair for pair in named_models if not isinstance(pair[0], SpectralEstimate)]
     sampled: dict[str, Draws | None] = {}
     for (model, name), pen in zip(curves, pens(len(curves)), strict=True):
         level, sampled[name] = _curve(ax, below, model, name, w, pen)
         levels.append(level)
-    for model, name in named:
+    for model, name in named_models:
         if isinstance(model, SpectralEstimate):
             name = name if labels else f"{model.method.split(',')[0]}, 95 %"
             levels.append(_dots(ax, below, model, name, w))
     ax.set_xscale("log")
-    shown = np.concatenate(levels)
-    shown = shown[np.isfinite(shown)]
-    if shown.size:
-        ax.set_ylim(float(shown.min()) - 6.0, float(shown.max()) + 6.0)
+    all_levels = np.concatenate(levels)
+    all_levels = all_levels[np.isfinite(all_levels)]
+    if all_levels.size:
+        ax.set_ylim(float(all_levels.min()) - 6.0, float(all_levels.max()) + 6.0)
     decibel_ticks(ax)
     _limit_phase(below)
     ax.set_ylabel(f"$|G|$ [dB re 1 {gain_unit(models)}]")
@@ -138,7 +138,7 @@ def plot_step(
         t, y = np.append(0.0, answer.t), np.append(0.0, answer.y)
         curves.append(y)
         if np.nan_to_num(answer.std).any():
-            draws = drawn(model)
+            draws = parameter_draws(model)
             band = step_band(model, answer, draws)
             sampled |= {name: draws} if band.method == "sampled" else {}
             name = with_method(name, band)
@@ -146,13 +146,13 @@ def plot_step(
             ax.fill_between(t, *edges, color=pen["color"], alpha=0.25, lw=0)
         ax.plot(t, y, label=name, **pen)
     ax.set_xlabel("$t$ [s]")
-    name = labelled(models[0].output)
+    name = symbol_of(models[0].output)
     if rate:
-        named = RATES.get(models[0].output)
-        name = labelled(named) if named else f"rate of {name}"
+        rate_name = RATES.get(models[0].output)
+        name = symbol_of(rate_name) if rate_name else f"rate of {name}"
     ax.set_ylabel(f"{name} [{gain_unit(models, rate=rate)}]")
     ax.margins(x=0)
-    _limited(ax, np.concatenate(curves))
+    _limit_to_curves(ax, np.concatenate(curves))
     finish(ax)
     above = legend(ax, *left_out(sampled, models=len(models)))
     return sign(ax, *sources_of(models), above=above)
@@ -207,8 +207,8 @@ def _dots(
 ) -> NDArray[np.float64]:
     """Draw a spectral estimate as dots with bars; return its magnitude in dB."""
     w = estimate.omega
-    known = np.isfinite(estimate.G) & (w >= omega[0]) & (w <= omega[-1]) & (np.abs(estimate.G) > 0)
-    at = _spread(w, np.flatnonzero(known))
+    usable = np.isfinite(estimate.G) & (w >= omega[0]) & (w <= omega[-1]) & (np.abs(estimate.G) > 0)
+    at = _spread(w, np.flatnonzero(usable))
     w, G = w[at], estimate.G[at]
     magnitude, level, phase = np.abs(G), decibels(G), continuous_phase(G)
     if below.lines and w.size:
@@ -232,12 +232,12 @@ def _dots(
     return level
 
 
-def _spread(w: NDArray[np.float64], known: NDArray[np.intp]) -> NDArray[np.intp]:
+def _spread(w: NDArray[np.float64], indices: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the indices of the frequencies to show, evenly spaced on the logarithmic axis."""
-    if known.size <= _MAX_DOTS:
-        return known
-    wanted = np.geomspace(max(w[known[0]], w[-1] * 1e-6), w[known[-1]], _MAX_DOTS)
-    return np.unique(known[np.argmin(np.abs(wanted[:, None] - w[known][None, :]), axis=1)])
+    if indices.size <= _MAX_DOTS:
+        return indices
+    wanted = np.geomspace(max(w[indices[0]], w[-1] * 1e-6), w[indices[-1]], _MAX_DOTS)
+    return np.unique(indices[np.argmin(np.abs(wanted[:, None] - w[indices][None, :]), axis=1)])
 
 
 def response_and_bands(
@@ -251,7 +251,7 @@ def response_and_bands(
     answer = model.frequency_response(w)
     if not np.nan_to_num(answer.std_magnitude).any():
         return w, answer.G, None, None
-    draws = drawn(model)
+    draws = parameter_draws(model)
     return w, answer.G, frequency_bands(model, answer, draws), draws
 
 
@@ -274,17 +274,17 @@ def continuous_phase(G: NDArray[Any]) -> NDArray[np.float64]:
 
 def _limit_phase(ax: Axes) -> None:
     """Limit a phase axis to the multiples of 90° around its curves and dots."""
-    shown = np.concatenate([np.asarray(line.get_ydata(), np.float64) for line in ax.lines])
-    shown = shown[np.isfinite(shown)]
-    if shown.size:
-        first, last = np.floor(shown.min() / 90), np.ceil(shown.max() / 90)
+    phases = np.concatenate([np.asarray(line.get_ydata(), np.float64) for line in ax.lines])
+    phases = phases[np.isfinite(phases)]
+    if phases.size:
+        first, last = np.floor(phases.min() / 90), np.ceil(phases.max() / 90)
         last = max(last, first + 1)
         ticks = 90 * np.arange(first, last + 1)
         ax.set_yticks(ticks[:: -(-ticks.size // 6)])
         ax.set_ylim(90 * first - 5, 90 * last + 5)
 
 
-def _limited(ax: Axes, y: NDArray[np.float64]) -> None:
+def _limit_to_curves(ax: Axes, y: NDArray[np.float64]) -> None:
     """Limit an axis so that a very wide band does not flatten the curves."""
     low, high = float(np.nanmin(y)), float(np.nanmax(y))
     span = high - low or 1.0
@@ -305,30 +305,30 @@ def plot_poles_zeros(*models: Fit, labels: Labels = None, ax: Axes | None = None
     ax.plot(np.cos(angle), np.sin(angle), color=GREY, lw=0.8)
     ax.axhline(0, color=GREY, lw=0.5)
     ax.axvline(0, color=GREY, lw=0.5)
-    shown: list[Region] = []
+    all_regions: list[Region] = []
     by_draws: dict[str, Draws | None] = {}
     names, models = labels_of(models, labels), in_discrete_time(models)
     for model, name, pen, size in zip(
         models, names, pens(len(models)), cycle(_MARKER_SIZES), strict=False
     ):
         colour = pen["color"]
-        draws = drawn(model)
+        draws = parameter_draws(model)
         poles, zeros = pole_regions(model, draws), zero_regions(model, draws)
         if any(r.method == "sampled" for r in (*poles, *zeros)):
             by_draws[name] = draws
-        shown += [*poles, *zeros]
-        for found, marker in ((poles, "x"), (zeros, "o")):
-            z = np.array([r.centre for r in found], dtype=np.complex128)
+        all_regions += [*poles, *zeros]
+        for regions, marker in ((poles, "x"), (zeros, "o")):
+            z = np.array([r.centre for r in regions], dtype=np.complex128)
             style = {"color": colour, "mfc": "none", "ms": size, "mew": 1.2, "ls": "none"}
             label = (name if draws is None else f"{name}, 95 %") if marker == "x" else None
             ax.plot(z.real, z.imag, marker, label=label, zorder=3, **style)
-            for region in found:
+            for region in regions:
                 _draw(ax, region, colour)
         if draws is not None:
             _mark_cancelling(ax, model)
     if by_draws:
         ax.plot([], [], color=INK, lw=1.0, ls=":", label="95 % by draws")
-    _frame(ax, shown)
+    _frame(ax, all_regions)
     ax.set(xlabel="Re $z$", ylabel="Im $z$")
     ax.set_aspect("equal")
     ax.locator_params(nbins=6)
@@ -380,20 +380,20 @@ def _mark_cancelling(ax: Axes, model: Fit) -> None:
     """Mark each pair of a pole and a zero that cannot be distinguished, and its conjugate pair."""
     for pole, zero, _ in overlapping(model):
         middle = (pole + zero) / 2
-        said = "cannot be distinguished"
-        known = said in ax.get_legend_handles_labels()[1]
+        label = "cannot be distinguished"
+        in_legend = label in ax.get_legend_handles_labels()[1]
         heights = {middle.imag, -middle.imag}
         style: dict[str, Any] = {"color": INK, "mfc": "none", "ms": 15, "mew": 0.9, "ls": "none"}
-        style |= {"zorder": 2.8, "alpha": 0.6, "label": None if known else said}
+        style |= {"zorder": 2.8, "alpha": 0.6, "label": None if in_legend else label}
         ax.plot([middle.real] * len(heights), list(heights), "s", **style)
 
 
-def _frame(ax: Axes, shown: list[Region]) -> None:
+def _frame(ax: Axes, regions: list[Region]) -> None:
     """Limit the axes to the roots near the unit circle and to their regions."""
     points: list[complex] = [1.0 + 0.0j]
-    near = [r for r in shown if abs(r.centre) < _MAX_SHOWN_MODULUS]
-    if len(near) < len(shown):
-        text = f"{len(shown) - len(near)} beyond |z| = {_MAX_SHOWN_MODULUS:g}"
+    near = [r for r in regions if abs(r.centre) < _MAX_SHOWN_MODULUS]
+    if len(near) < len(regions):
+        text = f"{len(regions) - len(near)} beyond |z| = {_MAX_SHOWN_MODULUS:g}"
         ax.text(0.03, 0.03, text, transform=ax.transAxes, fontsize="x-small", color=INK)
     if not near:
         ax.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2))

@@ -28,7 +28,7 @@ from armrig.models.responses import (
 from armrig.models.state_space import Matrix, Vector
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.checks import column, require_integers
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -190,7 +190,7 @@ class Fit(Estimate):
         array([0.0002, 0.0002, 0.0015])
         """
         if self.ny == self.nu == 1:
-            found = [polynomial_roots(self, letter) for letter in "af"]
+            root_groups = [polynomial_roots(self, letter) for letter in "af"]
         else:
             distinct: dict[bytes, Fit] = {}
             for _, _, fit in self.channels():
@@ -198,10 +198,10 @@ class Fit(Estimate):
             fits = [*distinct.values()]
             if self.shared or self.form.coupled:
                 fits = [max(fits, key=lambda fit: fit.denominator.size)]
-            found = [fit.poles() for fit in fits]
+            root_groups = [fit.poles() for fit in fits]
         return Roots(
-            values=np.concatenate([r.values for r in found]),
-            covariance=np.concatenate([r.covariance for r in found]),
+            values=np.concatenate([r.values for r in root_groups]),
+            covariance=np.concatenate([r.covariance for r in root_groups]),
         )
 
     def zeros(self) -> Roots:
@@ -242,9 +242,9 @@ class Fit(Estimate):
             G = np.zeros((omega_.size, self.ny, self.nu), dtype=np.complex128)
             magnitude, phase = np.zeros((2, *G.shape))
             for i, j, fit in self.channels():
-                own = fit.frequency_response(omega_)
-                G[:, i, j] = own.G
-                magnitude[:, i, j], phase[:, i, j] = own.std_magnitude, own.std_phase
+                response = fit.frequency_response(omega_)
+                G[:, i, j] = response.G
+                magnitude[:, i, j], phase[:, i, j] = response.std_magnitude, response.std_phase
             return FrequencyResponse(omega=omega_, G=G, std_magnitude=magnitude, std_phase=phase)
         G, dlnG = ratio(self, omega_, "b", "af")
         with np.errstate(invalid="ignore"):
@@ -311,8 +311,8 @@ class Fit(Estimate):
         if (self.ny, self.nu) != (1, 1):
             y, std = np.zeros((2, n, self.ny, self.nu))
             for i, j, fit in self.channels():
-                own = fit.step_response(n, rate=rate)
-                y[:, i, j], std[:, i, j] = own.y, own.std
+                response = fit.step_response(n, rate=rate)
+                y[:, i, j], std[:, i, j] = response.y, response.std
             return StepResponse(t=t, y=y, std=std, rate=rate)
         u = np.ones(n)
         if rate:
@@ -356,7 +356,7 @@ class Fit(Estimate):
         if self.Ts == 0:
             return self.to_discrete().simulate(u)
         if self.ny == self.nu == 1:
-            return filtered(self.B, self.denominator, column("u", u))
+            return apply_filter(self.B, self.denominator, column("u", u))
         u_ = np.asarray(u, dtype=np.float64)
         u_ = u_[:, None] if u_.ndim == 1 else u_
         if u_.ndim != 2 or u_.shape[1] != self.nu:
@@ -364,7 +364,7 @@ class Fit(Estimate):
                 f"u has shape {np.shape(u)}; give (N, {self.nu}), a column for each of "
                 f"{', '.join(self.inputs)}"
             )
-        return self.form.realised().deterministic.simulated(u_)
+        return self.form.innovations_form().deterministic.simulated(u_)
 
     def predict(self, data: Dataset | Signals, horizon: int | None = 1) -> Vector:
         """Return ŷ(t) from u up to t and y up to t - horizon; from u alone if horizon is None.
@@ -396,9 +396,9 @@ class Fit(Estimate):
         horizon 1: rms error 0.009 rad
         horizon None: rms error 0.075 rad
         """
-        from armrig.models.predictor import predicted
+        from armrig.models.predictor import predictions
 
-        return predicted(self, data, horizon)
+        return predictions(self, data, horizon)
 
     def state_space(self) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix]:
         """Return A (n, n), B (n, nu), C (ny, n), D (ny, nu) and K (n, ny) of the innovations form.
@@ -418,7 +418,7 @@ class Fit(Estimate):
         >>> C, D
         (array([[1., 0., 0.]]), array([[0.]]))
         """
-        s = self.form.realised()
+        s = self.form.innovations_form()
         return s.A, s.B, s.C, s.D, s.K
 
     def to_discrete(self, Ts: float | None = None) -> Fit:
@@ -527,7 +527,7 @@ class Fit(Estimate):
             return self.to_discrete().to_control()
         names = {"inputs": list(self.inputs), "outputs": list(self.outputs)}
         if (self.ny, self.nu) != (1, 1) or "order" in self.orders:
-            s = self.form.realised().deterministic
+            s = self.form.innovations_form().deterministic
             return control.ss(s.A, s.B, s.C, s.D, self.Ts, **names)
         n = max(self.B.size, self.denominator.size)
         padded = [np.pad(p, (0, n - p.size)) for p in (self.B, self.denominator)]
@@ -674,6 +674,6 @@ class Fit(Estimate):
 
     def __repr__(self) -> str:
         """Return the model as a few lines of text with orders, equation and quality."""
-        from armrig.models.equation import described
+        from armrig.models.equation import description
 
-        return described(self)
+        return description(self)

@@ -26,7 +26,7 @@ import numpy as np
 from armrig.models.noise_filter import NoiseFilter, NoiseProjection, noise_filter, noise_projection
 from armrig.models.structure import Structure
 from armrig.numerics.least_squares import Basis, orthonormal
-from armrig.numerics.polynomial import Array, filtered, lagged, shift_into
+from armrig.numerics.polynomial import Array, apply_filter, lag_columns, shift_into
 from armrig.numerics.stretches import Mask, stretches
 
 _SETTLED_SHARE = 1e-18  # share of the largest value below which an impulse response is 0
@@ -53,7 +53,7 @@ class Experiment:
     """True if every sample has a prediction error."""
 
 
-def prepared(u: Array, y: Array, structure: Structure) -> Experiment:
+def prepare(u: Array, y: Array, structure: Structure) -> Experiment:
     """Return the signals of one experiment for a structure, from u (N, nu) or (N,) and y (N,).
 
     A missing y is NaN. Without C, the first errors depend on samples before the data and are not
@@ -63,23 +63,23 @@ def prepared(u: Array, y: Array, structure: Structure) -> Experiment:
     """
     u = u.reshape(y.size, -1)
     if structure.integrator == "f":
-        u = np.column_stack([summed_input(x, centred=not structure.at_rest) for x in u.T])
+        u = np.column_stack([input_sum(x, centred=not structure.at_rest) for x in u.T])
     if structure.integrator == "a":
         y = np.diff(y, prepend=0.0 if structure.at_rest else np.nan)
-    known = np.isfinite(y)
-    parts = stretches(known)
+    measured = np.isfinite(y)
+    parts = stretches(measured)
     begin = parts[0].start if parts else 0
     gaps = len(parts) > 1 and structure.nc + structure.nd > 0
-    rows = known.copy()
+    rows = measured.copy()
     if gaps or (structure.nc and parts):
-        rows &= np.count_nonzero(known) > structure.forgotten(begin)
+        rows &= np.count_nonzero(measured) > structure.past_pulse_count(begin)
     elif not structure.white:
         for s in parts:
-            rows[s.start : min(s.start + structure.forgotten(s.start), s.stop)] = False
+            rows[s.start : min(s.start + structure.past_pulse_count(s.start), s.stop)] = False
     return Experiment(
         u=np.asfortranarray(u),
-        y=interpolated(y),
-        known=known,
+        y=interpolate(y),
+        known=measured,
         rows=rows,
         begin=begin,
         gaps=gaps,
@@ -87,26 +87,26 @@ def prepared(u: Array, y: Array, structure: Structure) -> Experiment:
     )
 
 
-def interpolated(y: Array) -> Array:
+def interpolate(y: Array) -> Array:
     """Return y (N,) with missing values interpolated; 0 if all are missing."""
-    known = np.isfinite(y)
-    if known.all():
+    measured = np.isfinite(y)
+    if measured.all():
         return y
     t = np.arange(y.size)
-    return np.interp(t, t[known], y[known]) if known.any() else np.zeros(y.size)
+    return np.interp(t, t[measured], y[measured]) if measured.any() else np.zeros(y.size)
 
 
-def completed(x: Experiment, structure: Structure, y: Array) -> Experiment:
+def with_output(x: Experiment, structure: Structure, y: Array) -> Experiment:
     """Return the experiment with the output y (N,) in place of an output with gaps."""
     rows = np.arange(y.size) >= x.begin
-    forgotten = 0 if structure.nc else structure.forgotten(x.begin)
-    rows[x.begin : x.begin + forgotten] = False
+    pulses = 0 if structure.nc else structure.past_pulse_count(x.begin)
+    rows[x.begin : x.begin + pulses] = False
     return replace(
         x, y=y, known=np.arange(y.size) >= x.begin, rows=rows, gaps=False, whole=bool(rows.all())
     )
 
 
-def summed_input(u: Array, *, centred: bool) -> Array:
+def input_sum(u: Array, *, centred: bool) -> Array:
     """Return the sum U of u, so that B/F u = B/F̃ U for F = (1 - q^-1) F̃.
 
     If a ramp is estimated, the mean of u is subtracted first (`centred`).
@@ -115,7 +115,7 @@ def summed_input(u: Array, *, centred: bool) -> Array:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Unknown:
+class UnknownPast:
     """Orthonormal basis of the effects of the unknown past on the prediction errors."""
 
     basis: Basis
@@ -150,12 +150,12 @@ class Unknown:
     @property
     def span(self) -> Array:
         """The basis as columns (N, rank)."""
-        whole = np.zeros((self.N, self.rank))
-        whole[: self.basis.Q.shape[0]] = self.basis.Q
-        return whole
+        columns = np.zeros((self.N, self.rank))
+        columns[: self.basis.Q.shape[0]] = self.basis.Q
+        return columns
 
 
-def masked(M: Array, experiment: Experiment) -> Array:
+def mask_rows(M: Array, experiment: Experiment) -> Array:
     """Return M with zeros in the rows without a prediction error."""
     if experiment.whole:
         return M
@@ -164,11 +164,11 @@ def masked(M: Array, experiment: Experiment) -> Array:
 
 def unknown(
     x: Experiment, structure: Structure, *, C: Array, D: Array, F: Sequence[Array]
-) -> Unknown:
+) -> UnknownPast:
     """Return the basis of the effects of the unknown past on the errors of data without a gap."""
     n, N = structure, x.y.size
     columns: list[tuple[int, Array]] = []  # first sample, and effect from this sample on
-    pulses = n.forgotten(x.begin) if n.nc else 0
+    pulses = n.past_pulse_count(x.begin) if n.nc else 0
     if pulses:
         z = response([1.0], C, N - x.begin)
         columns += [(x.begin + k, z) for k in range(pulses)]
@@ -183,7 +183,7 @@ def unknown(
         W[begin : begin + h.size, j] = h[: max(W.shape[0] - begin, 0)]
     if not x.whole:
         W = np.where(x.rows[: W.shape[0], None], W, 0.0)
-    return Unknown(basis=orthonormal(W), pulses=pulses, N=N)
+    return UnknownPast(basis=orthonormal(W), pulses=pulses, N=N)
 
 
 def volume(x: Experiment, structure: Structure, C: Array) -> tuple[float, Array]:
@@ -192,7 +192,7 @@ def volume(x: Experiment, structure: Structure, C: Array) -> tuple[float, Array]
     The columns of Z are the pulses z at the start of an experiment, filtered by 1/C. The logarithm
     changes by 2 trace(Z^+ dZ), and the derivative of 1/C with respect to c_k is -q^-k / C².
     """
-    k, N = structure.forgotten(x.begin), x.y.size - x.begin
+    k, N = structure.past_pulse_count(x.begin), x.y.size - x.begin
     if structure.nc == 0 or k == 0 or not x.rows.any():
         return 0.0, np.zeros(structure.nc)
     Q, R = np.linalg.qr(_pulses(response([1.0], C, N), k, N))
@@ -201,7 +201,7 @@ def volume(x: Experiment, structure: Structure, C: Array) -> tuple[float, Array]
     slope = np.append(slope, np.zeros(n - slope.size))
     by_c = np.empty(C.size - 1)
     for j in range(by_c.size):
-        columns = lagged(slope, range(j + 1, j + 1 + k))
+        columns = lag_columns(slope, range(j + 1, j + 1 + k))
         by_c[j] = -2 * np.trace(np.linalg.solve(R, Q.T @ columns))
     return 2 * float(np.sum(np.log(np.abs(np.diag(R))))), by_c
 
@@ -215,7 +215,7 @@ def response(numerator: Array | list[float], denominator: Array, N: int) -> Arra
     while True:
         pulse = np.zeros(n)
         pulse[0] = 1.0
-        h = filtered(numerator, denominator, pulse)
+        h = apply_filter(numerator, denominator, pulse)
         size = np.abs(h)
         above = np.flatnonzero(size > _SETTLED_SHARE * size.max())
         end = int(above[-1]) + 1 if above.size else 1
@@ -229,7 +229,7 @@ def response(numerator: Array | list[float], denominator: Array, N: int) -> Arra
 def _pulses(h: Array, k: int, N: int) -> Array:
     """Return the impulse response h, delayed by 0 … k - 1 samples, as columns of at most N rows."""
     n = min(N, h.size + k - 1)
-    return lagged(np.append(h, np.zeros(max(n - h.size, 0)))[:n], range(k))
+    return lag_columns(np.append(h, np.zeros(max(n - h.size, 0)))[:n], range(k))
 
 
 def trend(structure: Structure, N: int) -> Array:
@@ -246,7 +246,7 @@ class LinearPart:
     given; 0 in rows without a prediction error."""
     y: Array
     """Signal D/C y, or D/C A y if A is given, (N,); 0 where the prediction error is not known."""
-    unknown: Unknown
+    unknown: UnknownPast
     """Basis of the unknown past."""
     noise: NoiseFilter | NoiseProjection | None = None
     """Filter of data with gaps."""
@@ -278,15 +278,16 @@ def regression(
         noise = None if innovations else noise_projection(C, product, x.rows)
         return _regression_with_gaps(x, n, noise or noise_filter(C, product, x.rows), F=F, d=D)
     inputs = [
-        lagged(filtered(D, np.convolve(C, F[j]), x.u[:, j]), n.lags(j)) for j in range(len(n.nb))
+        lag_columns(apply_filter(D, np.convolve(C, F[j]), x.u[:, j]), n.lags(j))
+        for j in range(len(n.nb))
     ]
     y = _noise(D, C, x.y)
     if n.na and A is None:
-        inputs.insert(0, -lagged(y, range(1, n.na + 1)))
+        inputs.insert(0, -lag_columns(y, range(1, n.na + 1)))
     elif n.na and A is not None:
-        y = filtered(A, [1.0], y)
+        y = apply_filter(A, [1.0], y)
     X = inputs[0] if len(inputs) == 1 else np.hstack(inputs)
-    return LinearPart(X=masked(X, x), y=masked(y, x), unknown=unknown(x, n, C=C, D=D, F=F))
+    return LinearPart(X=mask_rows(X, x), y=mask_rows(y, x), unknown=unknown(x, n, C=C, D=D, F=F))
 
 
 def _regression_with_gaps(
@@ -299,19 +300,19 @@ def _regression_with_gaps(
 ) -> LinearPart:
     """Return the linear equation of the errors of a filter, whose D is the product of d and A."""
     N = x.y.size
-    inputs = [lagged(filtered(d, F[j], x.u[:, j]), n.lags(j)) for j in range(len(n.nb))]
+    inputs = [lag_columns(apply_filter(d, F[j], x.u[:, j]), n.lags(j)) for j in range(len(n.nb))]
     pulse = np.append(1.0, np.zeros(N - 1))
-    pulses = n.forgotten(0)
-    past = [lagged(pulse, range(pulses))]
+    pulses = n.past_pulse_count(0)
+    past = [lag_columns(pulse, range(pulses))]
     for count, group in zip(n.counts, n.groups, strict=True):
-        past.append(lagged(filtered(d, F[group[0]], pulse), range(count)))
-    past += [filtered(d, [1.0], column)[:, None] for column in trend(n, N).T]
+        past.append(lag_columns(apply_filter(d, F[group[0]], pulse), range(count)))
+    past += [apply_filter(d, [1.0], column)[:, None] for column in trend(n, N).T]
     widths = sum(n.nb)
     both = noise.responses(np.hstack([*inputs, *past]))
     return LinearPart(
         X=both[:, :widths],
         y=noise.innovations(x.y),
-        unknown=Unknown(basis=orthonormal(both[:, widths:]), pulses=pulses, N=N),
+        unknown=UnknownPast(basis=orthonormal(both[:, widths:]), pulses=pulses, N=N),
         noise=noise,
     )
 
@@ -339,7 +340,7 @@ class Errors:
 def errors(
     x: Experiment,
     structure: Structure,
-    given: LinearPart,
+    linear: LinearPart,
     *,
     A: Array,
     B: Sequence[Array],
@@ -359,12 +360,12 @@ def errors(
     """
     n, N = structure, x.y.size
     b = np.concatenate([p[k:] for p, k in zip(B, n.nk, strict=True)])
-    linear_a = n.na > 0 and given.X.shape[1] > b.size
-    raw = given.y - given.X @ (np.append(A[1:], b) if linear_a else b)
-    past = given.unknown
+    linear_a = n.na > 0 and linear.X.shape[1] > b.size
+    raw = linear.y - linear.X @ (np.append(A[1:], b) if linear_a else b)
+    past = linear.unknown
     along = past.along(raw) if along is None else along
-    found = past.basis.W @ along
-    pulses, state = found[: past.pulses], found[past.pulses :]
+    unknowns = past.basis.W @ along
+    pulses, state = unknowns[: past.pulses], unknowns[past.pulses :]
     e = raw.copy()
     e[: past.basis.Q.shape[0]] -= past.basis.Q @ along
     driven = trend(n, N) @ state[sum(n.counts) :] if n.trend else np.zeros(N)
@@ -374,9 +375,9 @@ def errors(
         driven = x.y - e
     else:
         for count, group in zip(n.counts, n.groups, strict=True):
-            w = filtered(B[group[0]], F[group[0]], x.u[:, group[0]])
+            w = apply_filter(B[group[0]], F[group[0]], x.u[:, group[0]])
             for j in group[1:]:
-                w += filtered(B[j], F[j], x.u[:, j])
+                w += apply_filter(B[j], F[j], x.u[:, j])
             if count:
                 free = response(state[begin : begin + count], F[group[0]], N)
                 w[: free.size] += free
@@ -388,36 +389,36 @@ def errors(
     ends = pairwise(accumulate(sizes, initial=0))
     by_a, by_c, by_d, *by_f = (Psi[:, begin:end] for begin, end in ends)
     by_scale = np.zeros(Psi.shape[1])
-    if given.noise is not None:
-        z = filtered(D, [1.0], driven)
+    if linear.noise is not None:
+        z = apply_filter(D, [1.0], driven)
         z[: pulses.size] += pulses
-        of_noise, of_scale = given.noise.derivatives(x.y, z)
+        of_noise, of_scale = linear.noise.derivatives(x.y, z)
         by_c[:], by_product = -of_noise[:, : n.nc], -of_noise[:, n.nc :]
         for columns, factor, at in ((by_a, D, 0), (by_d, A, n.na + n.nc)):
-            T = lagged(np.append(factor, np.zeros(n.na + n.nd)), range(columns.shape[1]))
+            T = lag_columns(np.append(factor, np.zeros(n.na + n.nd)), range(columns.shape[1]))
             T = T[: n.na + n.nd]
             columns[:] = by_product @ T
             by_scale[at : at + columns.shape[1]] = of_scale[n.nc :] @ T
         by_scale[n.na : n.na + n.nc] = of_scale[: n.nc]
-        by_d += given.noise.responses(lagged(driven, range(1, n.nd + 1)))
+        by_d += linear.noise.responses(lag_columns(driven, range(1, n.nd + 1)))
         for columns, (w, p) in zip(by_f, responses, strict=True):
-            moved = lagged(filtered(D, p, w), range(1, columns.shape[1] + 1))
-            columns[:] = -given.noise.responses(moved)
-        y = np.where(x.known, x.y, given.noise.predictions(x.y, z))
+            moved = lag_columns(apply_filter(D, p, w), range(1, columns.shape[1] + 1))
+            columns[:] = -linear.noise.responses(moved)
+        y = np.where(x.known, x.y, linear.noise.predictions(x.y, z))
         return Errors(e=e, Psi=Psi, driven=driven, state=state, by_scale=by_scale, y=y)
     if by_a.size:
         shift_into(by_a, -_noise(D, C, x.y))
     if n.nc:
-        shift_into(by_c, filtered([1.0], C, e))
+        shift_into(by_c, apply_filter([1.0], C, e))
     if n.nd:
-        v = driven - (filtered(A, [1.0], x.y) if n.na else x.y)
-        shift_into(by_d, filtered([1.0], C, v))
+        v = driven - (apply_filter(A, [1.0], x.y) if n.na else x.y)
+        shift_into(by_d, apply_filter([1.0], C, v))
     for columns, (w, p) in zip(by_f, responses, strict=True):
         if columns.size:
-            shift_into(columns, -filtered(D, np.convolve(C, p), w))
-    Psi = masked(Psi, x)
+            shift_into(columns, -apply_filter(D, np.convolve(C, p), w))
+    Psi = mask_rows(Psi, x)
     return Errors(e=e, Psi=Psi, driven=driven, state=state, by_scale=by_scale, y=x.y)
 
 
 def _noise(D: Array, C: Array, x: Array) -> Array:
-    return x if C.size == D.size == 1 else filtered(D, C, x)
+    return x if C.size == D.size == 1 else apply_filter(D, C, x)

@@ -38,9 +38,9 @@ class InnovationsFilter:
 
     def states(self, u: Array, y: Array, x0: Array) -> Array:
         """Return x (N, m, n) for m signals u (N, m, nu) and y (N, m, ny), and states x0 (m, n)."""
-        return self._driven(u @ self.system.B.T, y - u @ self.system.D.T, x0)
+        return self._state_response(u @ self.system.B.T, y - u @ self.system.D.T, x0)
 
-    def _driven(self, w: Array, left: Array, x0: Array) -> Array:
+    def _state_response(self, w: Array, left: Array, x0: Array) -> Array:
         """Return x (N, m, n) of x(t+1) = (A - G C) x + w + G left."""
         s, noisy = self.system, self.noisy
         if self.gains is None:
@@ -49,9 +49,9 @@ class InnovationsFilter:
         if still.any():
             Phi = s.A[np.ix_(still, still)]
             x[:, :, still] = recursion(Phi, w[:, :, still], x0[:, still])[:-1]
-        known = x[:, :, still]
-        w = w[:, :, noisy] + known @ s.A[np.ix_(noisy, still)].T
-        w = w + (left - known @ s.C[:, still].T) @ gain
+        x_still = x[:, :, still]
+        w = w[:, :, noisy] + x_still @ s.A[np.ix_(noisy, still)].T
+        w = w + (left - x_still @ s.C[:, still].T) @ gain
         x[:, :, noisy] = varying_recursion(self.gains.transition, w, x0[:, noisy])[:-1]
         return x
 
@@ -63,7 +63,7 @@ class InnovationsFilter:
         """Return C x + D u."""
         return np.asarray(x @ self.system.C.T + u @ self.system.D.T)
 
-    def whitened(self, nu: Array) -> Array:
+    def whiten(self, nu: Array) -> Array:
         """Return U nu (N, m, ny)."""
         return np.asarray(nu @ self.white.swapaxes(1, 2))
 
@@ -82,13 +82,13 @@ class InnovationsFilter:
         if self.gains is None:
             w += _products(K, nu)
         else:
-            z, own = self.whitened(nu[:, None])[:, 0], np.flatnonzero(self.noisy)
+            z, noisy = self.whiten(nu[:, None])[:, 0], np.flatnonzero(self.noisy)
             by_gain, by_white, by_log = self.gains.derivatives(
-                A[:, own][:, :, own], C[:, :, own], K[:, own], nu, z
+                A[:, noisy][:, :, noisy], C[:, :, noisy], K[:, noisy], nu, z
             )
-            w[:, :, own] += by_gain
-        moved = self._driven(w, -at_once, np.zeros((p, len(self.system.A))))
-        return by_white - self.whitened(at_once + moved @ self.system.C.T), by_log
+            w[:, :, noisy] += by_gain
+        moved = self._state_response(w, -at_once, np.zeros((p, len(self.system.A))))
+        return by_white - self.whiten(at_once + moved @ self.system.C.T), by_log
 
 
 def _products(M: Array, x: Array) -> Array:

@@ -107,7 +107,7 @@ class Matrices:
         )
         return form, np.vstack([dF, dB, coefficients(by_C, x)[1:]])
 
-    def realised(self) -> StateSpace:
+    def innovations_form(self) -> StateSpace:
         """Return the innovations form, with a chain of states for each delay beyond one sample."""
         n, nu = self.B.shape
         delays = [max(k - 1, 0) for k in self.nk]

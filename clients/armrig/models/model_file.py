@@ -59,13 +59,13 @@ def fit_of(text: str, path: str) -> Fit:
     """Return the model in the text of a file, as `load_fit`; messages name the file by `path`."""
     try:
         content = json.loads(text) if text.lstrip().startswith("{") else None
-        known = {FORMAT: VERSION, FORMAT_OF_SEVERAL: 1}
-        if not isinstance(content, dict) or content.get("format") not in known:
+        latest_versions = {FORMAT: VERSION, FORMAT_OF_SEVERAL: 1}
+        if not isinstance(content, dict) or content.get("format") not in latest_versions:
             raise FileError(
                 f"{path} is no model file; `armrig identify --save` and fit.save(path) write "
                 "model files"
             )
-        if content.get("version") not in range(1, known[content["format"]] + 1):
+        if content.get("version") not in range(1, latest_versions[content["format"]] + 1):
             raise FileError(
                 f"{path} has format version {content.get('version')!r}, this armrig reads "
                 f"{VERSION}; it was written by armrig {content.get('armrig')}"
@@ -75,20 +75,20 @@ def fit_of(text: str, path: str) -> Fit:
             {"remedy": x.get("asks", "")} | x if isinstance(x, dict) else x
             for x in content["findings"]
         ]
-        fit = _restored(_renewed(content) | {"findings": findings})
+        fit = _build_fit(_upgrade_content(content) | {"findings": findings})
         if fault := _fault(fit):
-            raise _damaged(path, fault)
+            raise _damage_error(path, fault)
         repr(fit), fit.poles()  # using a damaged model raises an error
     except FileError:
         raise
     except json.JSONDecodeError as err:
-        raise _damaged(path, f"line {err.lineno} is not JSON: {err.msg}") from err
+        raise _damage_error(path, f"line {err.lineno} is not JSON: {err.msg}") from err
     except KeyError as err:
-        raise _damaged(path, f"{err.args[0]} is missing") from err
+        raise _damage_error(path, f"{err.args[0]} is missing") from err
     except msgspec.ValidationError as err:
-        raise _damaged(path, str(err)) from err
+        raise _damage_error(path, str(err)) from err
     except Exception as err:
-        raise _damaged(path, f"its fields do not match each other: {err}") from err
+        raise _damage_error(path, f"its fields do not match each other: {err}") from err
     return fit
 
 
@@ -115,17 +115,17 @@ def _fault(fit: Fit) -> str:
     return "B has coefficients before the lag nk" if any(p.any() for p in early) else ""
 
 
-def _damaged(path: str, fault: str) -> FileError:
+def _damage_error(path: str, fault: str) -> FileError:
     return FileError(
         f"{path} is a damaged model: {fault}; save the model again with fit.save(path), or "
         "estimate it again with `armrig identify --save`"
     )
 
 
-def _renewed(content: dict[str, Any]) -> dict[str, Any]:
+def _upgrade_content(content: dict[str, Any]) -> dict[str, Any]:
     """Return the content of a file of an earlier version as the content of the present version."""
     if content["format"] == FORMAT_OF_SEVERAL:
-        quality = [_renewed_quality(q) for q in content["quality"]]
+        quality = [_upgrade_quality(q) for q in content["quality"]]
         return content | {"specification": content["orders"], "quality": quality}
     if content["version"] == VERSION:
         return content
@@ -138,16 +138,16 @@ def _renewed(content: dict[str, Any]) -> dict[str, Any]:
         "units": [old["unit"]],
         "input_units": [old["input_unit"]],
         "noise_covariance": [[old["noise_variance"]]],
-        "quality": [_renewed_quality(old)],
+        "quality": [_upgrade_quality(old)],
     }
 
 
-def _renewed_quality(old: Mapping[str, Any]) -> dict[str, Any]:
+def _upgrade_quality(old: Mapping[str, Any]) -> dict[str, Any]:
     white = {"p_value": old["whiteness"], "test": old.get("whiteness_test", "")}
     return {name: old[name] for name in ("loss", "N", "fit_percent")} | {"white": white}
 
 
-def _restored(content: dict[str, Any]) -> Fit:
+def _build_fit(content: dict[str, Any]) -> Fit:
     form = content["form"]
     kind = form.get("kind") if isinstance(form, dict) else form
     if kind not in FORMS:

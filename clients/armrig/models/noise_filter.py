@@ -19,7 +19,7 @@ import numpy as np
 from armrig.models.innovations_filter import InnovationsFilter, innovations_filter
 from armrig.models.state_space import StateSpace
 from armrig.numerics.missing_samples import MissingSamples, missing_samples
-from armrig.numerics.polynomial import Array, filtered, impulse, lagged
+from armrig.numerics.polynomial import Array, apply_filter, impulse, lag_columns
 from armrig.numerics.stretches import Mask
 
 _MOST_VALUES = 1 << 23  # values of the states that are computed at once
@@ -51,13 +51,13 @@ class NoiseFilter:
 
     def innovations(self, v: Array) -> Array:
         """Return the scaled innovations of v (N,) for z = 0; 0 at a missing sample."""
-        return self._scaled(v[:, None], np.zeros((v.size, 1)))[:, 0]
+        return self._innovations(v[:, None], np.zeros((v.size, 1)))[:, 0]
 
     def responses(self, z: Array) -> Array:
         """Return the share of each z (N, k) in the scaled innovations, with the opposite sign."""
         few = max(_MOST_VALUES // (len(z) * self.filter.system.order), 1)
         blocks = [z[:, k : k + few] for k in range(0, z.shape[1], few)]
-        return -np.hstack([z[:, :0], *(self._scaled(np.zeros_like(x), x) for x in blocks)])
+        return -np.hstack([z[:, :0], *(self._innovations(np.zeros_like(x), x) for x in blocks)])
 
     def derivatives(self, v: Array, z: Array) -> tuple[Array, Array]:
         """Return the derivatives of the scaled innovations of v and z, and of the sum of log s(t).
@@ -80,10 +80,10 @@ class NoiseFilter:
     def _states(self, v: Array, z: Array) -> Array:
         return self.filter.states(z, v, np.zeros((v.shape[1], self.filter.system.order)))
 
-    def _scaled(self, v: Array, z: Array) -> Array:
+    def _innovations(self, v: Array, z: Array) -> Array:
         """Return the scaled innovations (N, k) of v and z (N, k)."""
         v, z = v[:, :, None], z[:, :, None]
-        return self.filter.whitened(self.filter.innovations(self._states(v, z), z, v))[:, :, 0]
+        return self.filter.whiten(self.filter.innovations(self._states(v, z), z, v))[:, :, 0]
 
 
 def noise_filter(C: Array, D: Array, rows: Mask) -> NoiseFilter:
@@ -97,8 +97,8 @@ def noise_filter(C: Array, D: Array, rows: Mask) -> NoiseFilter:
         D=np.eye(1),
         K=(c - d)[:, None],
     )
-    own = innovations_filter(system, np.eye(1), rows[:, None])
-    return NoiseFilter(filter=own, orders=(C.size - 1, D.size - 1))
+    state_filter = innovations_filter(system, np.eye(1), rows[:, None])
+    return NoiseFilter(filter=state_filter, orders=(C.size - 1, D.size - 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,33 +122,33 @@ class NoiseProjection:
 
     def innovations(self, v: Array) -> Array:
         """Return the errors (N,) of v for z = 0; the values of missing samples do not matter."""
-        return self._without(filtered(self.D, self.C, v)[:, None])[:, 0]
+        return self._without(apply_filter(self.D, self.C, v)[:, None])[:, 0]
 
     def responses(self, z: Array) -> Array:
         """Return the share of each z (N, k) in the errors, with the opposite sign."""
-        return self._without(filtered([1.0], self.C, z.T).T) if z.size else z
+        return self._without(apply_filter([1.0], self.C, z.T).T) if z.size else z
 
     def predictions(self, v: Array, z: Array) -> Array:
         """Return v (N,) with the estimates of the missing samples."""
-        found = v.copy()
-        e = filtered([1.0], self.C, filtered(self.D, [1.0], v) - z)
-        found[self.missing.at[0]] -= self.missing.values(e[:, None, None])[:, 0]
-        return found
+        v_hat = v.copy()
+        e = apply_filter([1.0], self.C, apply_filter(self.D, [1.0], v) - z)
+        v_hat[self.missing.at[0]] -= self.missing.values(e[:, None, None])[:, 0]
+        return v_hat
 
     def derivatives(self, v: Array, z: Array) -> tuple[Array, Array]:
         """Return the derivatives by (c, d) of the errors of v and z, and of `log_scale`.
 
         Those of the errors are for fixed values of the missing samples, and projected.
         """
-        whole, gradient = self.predictions(v, z), self.missing.log_det_gradient()[:, 0, 0]
-        e = filtered([1.0], self.C, filtered(self.D, [1.0], whole) - z)
+        v_hat, gradient = self.predictions(v, z), self.missing.log_det_gradient()[:, 0, 0]
+        e = apply_filter([1.0], self.C, apply_filter(self.D, [1.0], v_hat) - z)
         at_1 = impulse(self.C, gradient.size)
-        of_e, of_v = filtered([1.0], self.C, np.array([-e, whole]))
-        of_H = -filtered(self.D, np.convolve(self.C, self.C), np.eye(1, at_1.size)[0])
+        of_e, of_v = apply_filter([1.0], self.C, np.array([-e, v_hat]))
+        of_H = -apply_filter(self.D, np.convolve(self.C, self.C), np.eye(1, at_1.size)[0])
         slopes, by_log = [], []
         for of_errors, of_response, p in ((of_e, of_H, self.C), (of_v, at_1, self.D)):
-            slopes.append(lagged(of_errors, range(1, p.size)))
-            by_log.append(lagged(of_response, range(1, p.size)).T @ gradient)
+            slopes.append(lag_columns(of_errors, range(1, p.size)))
+            by_log.append(lag_columns(of_response, range(1, p.size)).T @ gradient)
         return self._without(np.hstack(slopes)), np.concatenate(by_log)
 
     def _without(self, X: Array) -> Array:
@@ -159,7 +159,7 @@ def noise_projection(C: Array, D: Array, rows: Mask) -> NoiseProjection | None:
     """Return the filter for the measured samples `rows`; None as `missing_samples` documents."""
 
     def forward(x: Array) -> Array:
-        return filtered(D, C, x[:, :, 0].T).T[:, :, None]
+        return apply_filter(D, C, x[:, :, 0].T).T[:, :, None]
 
     missing = missing_samples(
         lambda L: forward(np.eye(L, 1)[:, :, None]),

@@ -141,7 +141,7 @@ class Polynomials:
         if not self.has(i, j):
             raise InputError("this input does not affect this output: nb is 0")
         if self.coupled:
-            return self._coupled_channel(i, j)
+            return self._channel_by_adjugate(i, j)
         columns = {"a": i, "b": j, "c": i, "d": i, "f": j}
         at = np.concatenate(
             [np.r_[self.slice_of(letter, i, k)] for letter, k in columns.items()]
@@ -157,7 +157,7 @@ class Polynomials:
         )
         return form, np.eye(self.theta.size)[at]
 
-    def _coupled_channel(self, i: int, j: int) -> tuple[Polynomials, Matrix]:
+    def _channel_by_adjugate(self, i: int, j: int) -> tuple[Polynomials, Matrix]:
         """Return B/F with F = det A and B = row i of adj A times column j of B."""
         # F and B are interpolated from points on a circle. With X = inv(A), the derivatives are
         # d det A = det A tr(X dA) and d (adj A B) = (d det A) X B + det A (X dB - X dA X B).
@@ -166,7 +166,7 @@ class Polynomials:
         degree = sum(degrees)
         last = max(degree - degrees[k] + self.B[k][j].size - 1 for k in range(ny))
         n = max(degree, last) + 1
-        x = circle(n, np.linalg.eigvals(self.realised().A))
+        x = circle(n, np.linalg.eigvals(self.innovations_form().A))
         A = np.array([[np.polyval(a[::-1], x) for a in row] for row in self.A]).transpose(2, 0, 1)
         b = np.array([np.polyval(self.B[k][j][::-1], x) for k in range(ny)]).T
         X = np.linalg.inv(A)
@@ -194,21 +194,21 @@ class Polynomials:
         )
         return form, np.vstack([dB[nk : last + 1], dF[1 : degree + 1]])
 
-    def realised(self) -> StateSpace:
+    def innovations_form(self) -> StateSpace:
         """Return the innovations form; the last states are the noise states of OE and BJ models."""
         rows = [self._row(i) for i in range(len(self.A))]
         ny = len(rows)
         parts = [driven for driven, _ in rows] + [noise for _, noise in rows]
-        whole = _stacked(parts)
+        stack = _stack_blocks(parts)
         C = np.hstack([np.outer(np.eye(ny)[k % ny], p["C"]) for k, p in enumerate(parts)]) + 0.0
         D = np.vstack([p["D"] for p in parts[:ny]])
         # The rows of an ARX model are driven by y = C x + D u + e.
         return StateSpace(
-            A=whole["A"] + whole["Y"] @ C,
-            B=whole["B"] + whole["Y"] @ D,
+            A=stack["A"] + stack["Y"] @ C,
+            B=stack["B"] + stack["Y"] @ D,
             C=C,
             D=D,
-            K=whole["K"] + whole["Y"],
+            K=stack["K"] + stack["Y"],
             noise_states=sum(p["C"].size for p in parts[ny:]),
         )
 
@@ -234,7 +234,7 @@ class Polynomials:
             block["A"][:, :1] -= _tail(f, n)[:, None]
             block["B"][:, j] = _tail(b, n) - _tail(f, n) * D[j]
             blocks.append(_with_sum(block) if self.integrators[i] else block)
-        driven = _stacked(blocks) | {"C": np.concatenate([p["C"] for p in blocks]), "D": D}
+        driven = _stack_blocks(blocks) | {"C": np.concatenate([p["C"] for p in blocks]), "D": D}
         n = max(self.C[i].size, below.size) - 1
         noise = _observer(n, nu, ny)
         noise["A"][:, :1] -= _tail(below, n)[:, None]
@@ -254,7 +254,7 @@ def _observer(n: int, nu: int, ny: int) -> dict[str, Any]:
     }
 
 
-def _stacked(blocks: list[dict[str, Any]]) -> dict[str, Any]:
+def _stack_blocks(blocks: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the matrices of the states of all blocks."""
     return {"A": block_diag(*(p["A"] for p in blocks))} | {
         name: np.vstack([p[name] for p in blocks]) for name in "BKY"
@@ -290,5 +290,5 @@ def coefficients(values: Any, x: Complex) -> Any:
     """
     n = x.size
     powers = np.abs(x[0]) ** np.arange(n)
-    found = np.fft.ifft(values, axis=0).real
-    return found / powers.reshape((n,) + (1,) * (found.ndim - 1))
+    transform = np.fft.ifft(values, axis=0).real
+    return transform / powers.reshape((n,) + (1,) * (transform.ndim - 1))

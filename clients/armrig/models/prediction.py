@@ -49,12 +49,12 @@ def require_same_signals(model: Fit, data: Dataset | Signals) -> None:
         raise InputTypeError(
             f"data is a {type(data).__name__}: give a Dataset; for an input, use fit.simulate(u)"
         )
-    one = _single(data)
-    _require_same_Ts(model, one.Ts)
-    names = {model.output, one.output} - {"", "y"}
-    units = {model.unit, one.unit} - {""}
+    dataset = _single(data)
+    _require_same_Ts(model, dataset.Ts)
+    names = {model.output, dataset.output} - {"", "y"}
+    units = {model.unit, dataset.unit} - {""}
     if len(names) > 1 or len(units) > 1:
-        of_model, of_data = (f"{x.output} [{x.unit or '–'}]" for x in (model, one))
+        of_model, of_data = (f"{x.output} [{x.unit or '–'}]" for x in (model, dataset))
         raise InputError(
             f"the model's output is {of_model} and the data contain {of_data}; validate with the "
             f"model's output, recording.dataset(output={model.output!r})"
@@ -68,13 +68,13 @@ def _require_same_channels(model: Fit, data: object) -> None:
             f"{', '.join(model.inputs)}; for inputs alone, use fit.simulate(u)"
         )
     _require_same_Ts(model, data.Ts)
-    for what, own, theirs in (
+    for side, ours, theirs in (
         ("outputs", model.outputs, data.outputs),
         ("inputs", model.inputs, data.inputs),
     ):
-        if own != theirs:
+        if ours != theirs:
             raise InputError(
-                f"the model's {what} are {', '.join(own)} and the data have {', '.join(theirs)}; "
+                f"the model's {side} are {', '.join(ours)} and the data have {', '.join(theirs)}; "
                 "choose them with signals.channels(outputs, inputs)"
             )
 
@@ -95,11 +95,11 @@ def findings_on_own_data(
     The models are given with their names. A model without estimation data, such as the physical
     model, has no finding.
     """
-    named = list(models)
-    same = [name for name, model in named if model.estimated_from(data)]
+    named_models = list(models)
+    same = [name for name, model in named_models if model.estimated_from(data)]
     if same:
         yield warning("own data", OWN_DATA)
-    for name, model in named:
+    for name, model in named_models:
         if name not in same and (both := _overlap(model, data)) is not None:
             start, stop = both
             yield warning(

@@ -26,16 +26,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armrig.data.dataset import Dataset, Signals
-from armrig.models.innovations import errors, prepared, regression, summed_input
+from armrig.models.innovations import errors, input_sum, prepare, regression
 from armrig.models.innovations_filter import InnovationsFilter, innovations_filter
 from armrig.models.prediction import require_same_signals, structure_of
 from armrig.models.state_space import StateSpace
 from armrig.models.structure import free_columns, transient_count
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.checks import require_integers
-from armrig.numerics.covariance import coloured, whitening
+from armrig.numerics.covariance import colour_noise, whitening
 from armrig.numerics.least_squares import column_norms, orthonormal
-from armrig.numerics.polynomial import Array, filtered, impulse, lagged, without_integrator
+from armrig.numerics.polynomial import Array, apply_filter, impulse, lag_columns, without_integrator
 
 if TYPE_CHECKING:
     from armrig.models.fit import Fit
@@ -76,7 +76,7 @@ def innovations(model: Fit, part: Signals, system: StateSpace, Lambda: Array) ->
     trends = np.zeros((N, len(at), part.ny))
     for k, i in enumerate(at):
         trends[:, k, i] = np.arange(1.0, N + 1.0) if integrating[i] else 1.0
-    y, own = np.where(part.valid, part.y, 0.0), innovations_filter(system, Lambda, part.valid)
+    y, kalman = np.where(part.valid, part.y, 0.0), innovations_filter(system, Lambda, part.valid)
     free = np.empty((N, n + len(at), part.ny))
     few = max(_MOST_VALUES // (N * max(n, 1)), 1)  # columns at once, for the memory
     with np.errstate(over="ignore", invalid="ignore"):
@@ -84,11 +84,11 @@ def innovations(model: Fit, part: Signals, system: StateSpace, Lambda: Array) ->
             some = np.arange(begin, min(begin + few, free.shape[1]))
             u, signals = np.zeros((N, some.size, part.nu)), np.zeros((N, some.size, part.ny))
             signals[:, some >= n] = trends[:, some[some >= n] - n]
-            x = own.states(u, signals, np.eye(free.shape[1], n)[some])
-            free[:, some] = own.whitened(own.innovations(x, u, signals))
+            x = kalman.states(u, signals, np.eye(free.shape[1], n)[some])
+            free[:, some] = kalman.whiten(kalman.innovations(x, u, signals))
         u, signals = part.u[:, None], y[:, None]
-        x = own.states(u, signals, np.zeros((1, n)))
-        white = own.whitened(own.innovations(x, u, signals))[:, 0]
+        x = kalman.states(u, signals, np.zeros((1, n)))
+        white = kalman.whiten(kalman.innovations(x, u, signals))[:, 0]
     if not (np.isfinite(free).all() and np.isfinite(white).all()):
         return None
     used = part.valid & ~_first_of_differences(model, part.valid) if system.K.any() else part.valid
@@ -96,18 +96,18 @@ def innovations(model: Fit, part: Signals, system: StateSpace, Lambda: Array) ->
     c = -_initial(free[used], white[used])
     trend = np.einsum("m,tmi->ti", c[n:], trends)
     signals = (y + trend)[:, None]
-    x = own.states(u, signals, c[None, :n])
-    nu = own.innovations(x, u, signals)[:, 0]
-    return Innovations(filter=own, used=used, u=part.u, trend=trend, x=x[:, 0], nu=nu, free=free)
+    x = kalman.states(u, signals, c[None, :n])
+    nu = kalman.innovations(x, u, signals)[:, 0]
+    return Innovations(filter=kalman, used=used, u=part.u, trend=trend, x=x[:, 0], nu=nu, free=free)
 
 
 def _first_of_differences(model: Fit, rows: Array) -> Array:
     """Return the samples (N, ny) that only begin the differences of y, if A integrates."""
-    found = rows & (np.cumsum(rows, axis=0) == 1)
+    first_samples = rows & (np.cumsum(rows, axis=0) == 1)
     F = getattr(model.form, "F", ((),) * model.ny)
     for i, integrates in enumerate(model.form.integrators):
-        found[:, i] &= integrates and all(f.size == 1 for f in F[i])
-    return np.asarray(found)
+        first_samples[:, i] &= integrates and all(f.size == 1 for f in F[i])
+    return np.asarray(first_samples)
 
 
 def _initial(responses: Array, errors: Array) -> Array:
@@ -118,7 +118,7 @@ def _initial(responses: Array, errors: Array) -> Array:
     return np.asarray(V[kept].T @ ((U.T @ errors)[kept] / s[kept])) / scale
 
 
-def predicted(model: Fit, data: Dataset | Signals, horizon: int | None) -> Array:
+def predictions(model: Fit, data: Dataset | Signals, horizon: int | None) -> Array:
     """Return ŷ, as `Fit.predict` documents.
 
     Raises ValueError if horizon is below 1, or the data differ from the model in signals, units or
@@ -128,8 +128,8 @@ def predicted(model: Fit, data: Dataset | Signals, horizon: int | None) -> Array
     if horizon is not None:
         require_integers(horizon=(horizon, 1))
     if model.Ts == 0:
-        return predicted(model.to_discrete(data.Ts), data, horizon)
-    system, Lambda = model.form.realised(), noise_covariance(model)
+        return predictions(model.to_discrete(data.Ts), data, horizon)
+    system, Lambda = model.form.innovations_form(), noise_covariance(model)
     system = system if horizon else system.deterministic
     if not system.K.any():  # the errors of a simulation are not e, and have other correlations
         Lambda = np.diag(np.diag(Lambda))
@@ -152,14 +152,14 @@ def _simulate(model: Fit, part: Dataset) -> Array:
     """Return the simulated output of one channel (N,), from the least-squares initial state."""
     F, u = model.denominator, part.u
     if model.integrator:
-        F, u = without_integrator(F), summed_input(u, centred=True)
+        F, u = without_integrator(F), input_sum(u, centred=True)
     count = transient_count(
         numerator_degree=model.B.size - 1,
         denominator_degree=model.denominator.size - 1,
         integrator=model.integrator,
     )
     with np.errstate(over="ignore", invalid="ignore"):
-        forced = filtered(model.B, F, u)
+        forced = apply_filter(model.B, F, u)
         columns = free_columns(F, part.N, count=count, drift=True)
         columns = columns[:, : count + (2 if model.integrator else int(model.offset))]
         if not (np.isfinite(forced).all() and np.isfinite(columns).all()):
@@ -172,8 +172,8 @@ def _simulate(model: Fit, part: Dataset) -> Array:
 def _ahead(model: Fit, part: Dataset, horizon: int) -> Array:
     """Return y (N,) of complete data, minus the effect of the errors of the last samples."""
     e, ahead = _of_channel(model, part).e[:, 0], min(horizon, part.N)
-    h = filtered(model.C, np.convolve(model.A, model.D), impulse([1.0], ahead))
-    return np.asarray(part.y - lagged(e, range(ahead)) @ h)
+    h = apply_filter(model.C, np.convolve(model.A, model.D), impulse([1.0], ahead))
+    return np.asarray(part.y - lag_columns(e, range(ahead)) @ h)
 
 
 def _predict(
@@ -185,22 +185,22 @@ def _predict(
     x, steps = r.x, min(horizon or 1, part.N) - 1
     for _ in range(steps):
         x = np.concatenate([x[:1], x[:-1] @ system.A.T + r.u[:-1] @ system.B.T])
-    found = r.filter.outputs(x, r.u) - r.trend
+    yhat = r.filter.outputs(x, r.u) - r.trend
     if not system.K.any():  # the past of y does not help to predict y
-        return found
+        return yhat
     # Before its first measured sample, hardly any data determine the state of an output.
     unknown = np.cumsum(part.valid, axis=0) == 0
     # Without C, the predictor has a finite memory. The initial state then reproduces the first
     # samples whatever their values are.
     late = system.C @ np.linalg.matrix_power(system.A - system.K @ system.C, system.order)
     forgets = np.max(np.abs(late), axis=1, initial=0.0) < _FORGOTTEN
-    Q = orthonormal(_stacked(r.free)).Q
+    Q = orthonormal(_stack_outputs(r.free)).Q
     leverage = np.sum(Q**2, axis=1).reshape(part.y.shape)
     lost = (forgets & (leverage > _WHOLE_LEVERAGE)) | (part.valid & ~r.used)
     for i, at in enumerate(lost.T):
         begin = int(np.flatnonzero(np.append(True, at))[-1])
         unknown[: begin + steps * (begin > 0), i] = True
-    return np.where(unknown, np.nan, found)
+    return np.where(unknown, np.nan, yhat)
 
 
 def noise_covariance(model: Fit) -> Array:
@@ -209,13 +209,13 @@ def noise_covariance(model: Fit) -> Array:
     Outputs that were estimated one by one are also predicted one by one: their noise is taken as
     independent.
     """
-    found = model.noise_covariance
-    if not (np.isfinite(found).all() and found.any()):
-        return np.eye(len(found))
-    std = np.maximum(np.sqrt(np.diag(found)), _MIN_STD)
+    Lambda = model.noise_covariance
+    if not (np.isfinite(Lambda).all() and Lambda.any()):
+        return np.eye(len(Lambda))
+    std = np.maximum(np.sqrt(np.diag(Lambda)), _MIN_STD)
     if not (model.shared or model.form.coupled or model.structure == "arx"):
         return np.diag(std**2)
-    values, axes = np.linalg.eigh(found / np.outer(std, std))
+    values, axes = np.linalg.eigh(Lambda / np.outer(std, std))
     inside = (axes * np.maximum(values, _MIN_EIGENVALUE)) @ axes.T
     return np.asarray(inside * np.outer(std, std))
 
@@ -240,7 +240,7 @@ class PredictionErrors:
         """True where there is an error, (N, ny)."""
         return np.isfinite(self.e)
 
-    def weighted(self, X: Array) -> Array:
+    def weight(self, X: Array) -> Array:
         """Return W X (N, ny, k); one output has the weight 1."""
         if X.shape[1] == 1:
             return X
@@ -248,18 +248,18 @@ class PredictionErrors:
 
 
 def prediction_errors(
-    model: Fit, data: Dataset | Signals, *, own: bool = False
+    model: Fit, data: Dataset | Signals, *, on_own_data: bool = False
 ) -> list[PredictionErrors]:
     """Return the errors of each experiment, with derivatives by the parameters of `parameters_of`.
 
-    On the estimation data (`own`) the outputs have the weights of the estimator.
+    On the estimation data (`on_own_data`) the outputs have the weights of the estimator.
     """
     if (model.ny, model.nu) == (1, 1):
         return [_of_channel(model, part) for part in data.signals().dataset().experiments()]
     Lambda = noise_covariance(model)
-    if own and model.output_weights:
+    if on_own_data and model.output_weights:
         Lambda = np.diag(1 / np.asarray(model.output_weights))
-    system, by = model.form.realised(), realisation_derivatives(model, directions(model))
+    system, by = model.form.innovations_form(), realisation_derivatives(model, directions(model))
     return [_of_outputs(model, part, system, by, Lambda) for part in data.signals().experiments()]
 
 
@@ -296,15 +296,15 @@ def realisation_derivatives(model: Fit, along: Array) -> dict[str, Array]:
     The matrices are linear or quadratic in each parameter alone, so that a central difference is
     exact for any step.
     """
-    theta, found = model.theta, {}
+    theta, derivatives = model.theta, {}
     pairs = [
-        [model.form.replaced(theta + step).realised() for step in (unit, -unit)]
+        [model.form.replaced(theta + step).innovations_form() for step in (unit, -unit)]
         for unit in np.eye(theta.size)
     ]
     for name in "ABCDK":
         by = np.array([getattr(a, name) - getattr(b, name) for a, b in pairs]) / 2
-        found[name] = np.tensordot(along.T, by, axes=1)
-    return found
+        derivatives[name] = np.tensordot(along.T, by, axes=1)
+    return derivatives
 
 
 def _of_outputs(
@@ -316,22 +316,22 @@ def _of_outputs(
     if r is None:
         none = np.zeros((*part.y.shape, p))
         return PredictionErrors(e=np.full(part.y.shape, np.nan), S=none[:, :, :0], Psi=none, G=G)
-    own = r.filter
-    e = coloured(part.valid, own.whitened(r.nu[:, None]).swapaxes(1, 2), Lambda)[:, :, 0]
-    slopes, _ = own.derivatives(by, r.x, r.u, r.nu)
-    basis = orthonormal(_stacked(r.free))
-    Psi = -_stacked(slopes.swapaxes(1, 2) * r.used[:, :, None])
+    kalman = r.filter
+    e = colour_noise(part.valid, kalman.whiten(r.nu[:, None]).swapaxes(1, 2), Lambda)[:, :, 0]
+    slopes, _ = kalman.derivatives(by, r.x, r.u, r.nu)
+    basis = orthonormal(_stack_outputs(r.free))
+    Psi = -_stack_outputs(slopes.swapaxes(1, 2) * r.used[:, :, None])
     Psi = (Psi - basis.Q @ (basis.Q.T @ Psi)).reshape(*part.y.shape, p)
     S = basis.Q.reshape(*part.y.shape, -1)
     return PredictionErrors(
         e=np.where(r.used, e, np.nan),
-        S=coloured(part.valid, S, Lambda),
-        Psi=coloured(part.valid, Psi, Lambda),
+        S=colour_noise(part.valid, S, Lambda),
+        Psi=colour_noise(part.valid, Psi, Lambda),
         G=G,
     )
 
 
-def _stacked(X: Array) -> Array:
+def _stack_outputs(X: Array) -> Array:
     """Return X (N, ny, k) as a matrix (N ny, k)."""
     return X.reshape(-1, X.shape[2])
 
@@ -339,31 +339,31 @@ def _stacked(X: Array) -> Array:
 def _of_channel(model: Fit, part: Dataset) -> PredictionErrors:
     if isinstance(model.form, TransferFunction):
         sampled, J = model.form.sampled(part.Ts)
-        found = _of_channel(model.to_discrete(part.Ts), part)
+        sampled_errors = _of_channel(model.to_discrete(part.Ts), part)
         if model.integrator:  # f̃_k = f_1 + … + f_k
             of_f = sampled.slice_of("f", 0, 0)
             J[of_f] = np.cumsum(J[of_f], axis=0)
             J = np.delete(np.delete(J, of_f.stop - 1, axis=0), model.slice_of("f").stop - 1, axis=1)
-        return replace(found, Psi=found.Psi @ J)
+        return replace(sampled_errors, Psi=sampled_errors.Psi @ J)
     structure = structure_of(model)
     p = {letter: getattr(model, letter) for letter in "ABCDF"}
     if model.integrating:
         p[model.integrating.upper()] = without_integrator(p[model.integrating.upper()])
-    experiment = prepared(part.u, part.y, structure)
+    experiment = prepare(part.u, part.y, structure)
     with np.errstate(over="ignore", invalid="ignore"):
         C, D, F = p["C"], p["D"], p["F"]
-        if not np.isfinite(filtered(np.convolve(D, model.B), np.convolve(C, F), part.u)).all():
+        if not np.isfinite(apply_filter(np.convolve(D, model.B), np.convolve(C, F), part.u)).all():
             # The output of an unstable predictor overflows.
             none = np.zeros((part.N, 1, model.parameters))
             e, G = np.full((part.N, 1), np.nan), np.zeros((part.N, 1, 1))
             return PredictionErrors(e=e, S=none[:, :, :0], Psi=none, G=G)
-        given = regression(experiment, structure, A=p["A"], C=C, D=D, F=[F], innovations=True)
-        known = errors(experiment, structure, given, A=p["A"], B=[p["B"]], C=C, D=D, F=[F])
-    by_a, others = np.split(known.Psi, [structure.na], axis=1)
-    Psi = given.unknown.without(np.hstack([by_a, given.X, others]))
+        linear = regression(experiment, structure, A=p["A"], C=C, D=D, F=[F], innovations=True)
+        solution = errors(experiment, structure, linear, A=p["A"], B=[p["B"]], C=C, D=D, F=[F])
+    by_a, others = np.split(solution.Psi, [structure.na], axis=1)
+    Psi = linear.unknown.without(np.hstack([by_a, linear.X, others]))
     return PredictionErrors(
-        e=np.where(experiment.rows, known.e, np.nan)[:, None],
-        S=given.unknown.span[:, None],
+        e=np.where(experiment.rows, solution.e, np.nan)[:, None],
+        S=linear.unknown.span[:, None],
         Psi=Psi[:, None],
         G=experiment.rows[:, None, None].astype(np.float64),
     )

@@ -175,7 +175,7 @@ def ratio(model: Fit, omega: Vector, above: str, below: str) -> tuple[Complex, C
     dlnR = np.zeros((x.size, model.theta.size), dtype=np.complex128)
     with np.errstate(divide="ignore", invalid="ignore"):
         for letter in above + below:
-            sign, value = 1 if letter in above else -1, _evaluated(model, letter, x)
+            sign, value = 1 if letter in above else -1, _polynomial_values(model, letter, x)
             product[sign] *= value
             dlnR[:, model.slice_of(letter)] = sign * _slope(model, letter, x) / value[:, None]
         # Divide only once, at the end: the ratio of two infinite complex numbers is NaN.
@@ -186,7 +186,7 @@ def ratio(model: Fit, omega: Vector, above: str, below: str) -> tuple[Complex, C
     return R, dlnR
 
 
-def _evaluated(model: Fit, letter: str, x: Complex) -> Complex:
+def _polynomial_values(model: Fit, letter: str, x: Complex) -> Complex:
     """Return a polynomial at x = q^-1, or at x = s in continuous time, (n,)."""
     p = model.polynomial(letter)
     if model.Ts == 0:

@@ -25,10 +25,10 @@ from armrig.plots.layout import (
     bare_minor,
     decibel_ticks,
     decibels,
-    drawn_by,
     finish,
     hertz,
     panels,
+    plot_method,
 )
 
 if TYPE_CHECKING:
@@ -88,8 +88,8 @@ class SpectralEstimate(OfDataset):
     def phase(self) -> Vector:
         """Phase arg G in rad, (n,), unwrapped along omega; NaN stays NaN."""
         angle = np.angle(self.G)
-        known = np.isfinite(angle)
-        angle[known] = np.unwrap(angle[known])
+        finite = np.isfinite(angle)
+        angle[finite] = np.unwrap(angle[finite])
         return np.asarray(angle)
 
     def rate(self) -> SpectralEstimate:
@@ -97,11 +97,11 @@ class SpectralEstimate(OfDataset):
         S = 1 / summation(self.omega, self.Ts)
         powers = {"std_magnitude": 1, "noise_only_std": 1, "nonlinear_std": 1}
         powers |= {"noise_spectrum": 2, "noise_std": 2}
-        known = {name: x for name in powers if (x := getattr(self, name)) is not None}
+        spectra = {name: x for name in powers if (x := getattr(self, name)) is not None}
         return replace(
             self,
             G=self.G * S,
-            **{name: x * np.abs(S) ** powers[name] for name, x in known.items()},
+            **{name: x * np.abs(S) ** powers[name] for name, x in spectra.items()},
             output=rate_name(self.output),
             unit=f"{self.unit}/s" if self.unit else "",
             integrator=False,
@@ -111,10 +111,10 @@ class SpectralEstimate(OfDataset):
         """Return the known values of G as python-control frequency response data."""
         import control
 
-        known = np.isfinite(self.G)
-        return control.frd(self.G[known], self.omega[known], self.Ts)
+        finite = np.isfinite(self.G)
+        return control.frd(self.G[finite], self.omega[finite], self.Ts)
 
-    plot = drawn_by("plot_spectral", "magnitude and phase with 95 % bands")
+    plot = plot_method("plot_spectral", "magnitude and phase with 95 % bands")
 
     def __repr__(self) -> str:
         """Return the estimate as a few lines of text."""
@@ -128,11 +128,11 @@ class SpectralEstimate(OfDataset):
             lines.append("  y integrates: the response of its rate was estimated, then integrated")
         for i in np.unique(np.linspace(0, w.size - 1, 5).round().astype(int)):
             std, phase = self.std_magnitude[i], np.degrees(self.std_phase[i])
-            known = f" ± {digits(std, 2)}" if np.isfinite(std) else ""
+            deviation = f" ± {digits(std, 2)}" if np.isfinite(std) else ""
             degrees = f" ± {digits(phase, 2)}" if np.isfinite(phase) else ""
             coherence = f", coherence {self.coherence[i]:.3f}" if self.coherence is not None else ""
             lines.append(
-                f"  {w[i]:9.4g} rad/s  |G| {abs(self.G[i]):.4g}{known}, "
+                f"  {w[i]:9.4g} rad/s  |G| {abs(self.G[i]):.4g}{deviation}, "
                 f"arg G {np.degrees(np.angle(self.G[i])):.1f}{degrees}°{coherence}"
             )
         return with_notes(lines, self.notes, "note")
@@ -179,14 +179,14 @@ def plot_spectral(estimate: SpectralEstimate, *, ax: Axes | None = None) -> Axes
     """Plot magnitude and phase with 95 % bands, and coherence if it is known."""
     ax, below = panels(ax, 0.36)
     w, G = estimate.omega, estimate.G
-    known = np.isfinite(G) & (w > 0) & (np.abs(G) > 0)
-    w, magnitude = w[known], np.abs(G[known])
-    phase = np.degrees(estimate.phase[known])
+    usable = np.isfinite(G) & (w > 0) & (np.abs(G) > 0)
+    w, magnitude = w[usable], np.abs(G[usable])
+    phase = np.degrees(estimate.phase[usable])
     # The phase is unwrapped from the lowest frequency, at which it is between -360° and 0°.
     phase = phase - 360 * np.ceil(phase[0] / 360) if phase.size else phase
     lines = w.size < 200 and estimate.coherence is None
     style: dict[str, Any] = {"marker": "o", "ms": 2.5, "lw": 0.6} if lines else {"lw": 1.1}
-    std, across = estimate.std_magnitude[known], np.degrees(estimate.std_phase[known])
+    std, across = estimate.std_magnitude[usable], np.degrees(estimate.std_phase[usable])
     if np.isfinite(std).any():
         width = HALF_WIDTH * np.nan_to_num(std)
         low, high = np.maximum(magnitude - width, 0.03 * magnitude), magnitude + width
@@ -202,8 +202,8 @@ def plot_spectral(estimate: SpectralEstimate, *, ax: Axes | None = None) -> Axes
             (distortion, "nonlinear distortion (one realisation)", VERMILION, "--"),
             (noise, "noise", GREEN, ":"),
         ):
-            shown = np.where(x[known] > 0, x[known], np.nan)
-            ax.plot(w, decibels(shown), color=colour, ls=dash, lw=1.0, label=name)
+            curve = np.where(x[usable] > 0, x[usable], np.nan)
+            ax.plot(w, decibels(curve), color=colour, ls=dash, lw=1.0, label=name)
     ax.set_xscale("log")
     if phase.size:
         ticks = 90 * np.arange(np.floor(phase.min() / 90), np.ceil(phase.max() / 90) + 1)
@@ -218,7 +218,7 @@ def plot_spectral(estimate: SpectralEstimate, *, ax: Axes | None = None) -> Axes
     lift = hertz(ax)
     if estimate.coherence is not None:
         other = ax.twinx()
-        other.plot(w, estimate.coherence[known], color=GREY, lw=0.8, ls="--")
+        other.plot(w, estimate.coherence[usable], color=GREY, lw=0.8, ls="--")
         other.set_ylim(0, 1.02)
         other.set_ylabel("coherence", color=GREY)
         other.tick_params(colors=GREY)

@@ -65,10 +65,10 @@ class StateSpace:
         return np.asarray(x @ self.C.T + u @ self.D.T)
 
 
-def frozen(values: Any) -> Any:
+def read_only_copy(values: Any) -> Any:
     """Return a read-only copy of an array of numbers, or a tuple of such copies."""
     if isinstance(values, tuple):
-        return tuple(map(frozen, values))
+        return tuple(map(read_only_copy, values))
     array = np.array(values, dtype=np.float64)
     array.flags.writeable = False
     return array
@@ -77,4 +77,4 @@ def frozen(values: Any) -> Any:
 def freeze(value: Any, names: tuple[str, ...]) -> None:
     """Replace the fields `names` of a dataclass by read-only arrays, or tuples of arrays."""
     for name in names:
-        object.__setattr__(value, name, frozen(getattr(value, name)))
+        object.__setattr__(value, name, read_only_copy(getattr(value, name)))

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from armrig.numerics.polynomial import Array, impulse, lagged
+from armrig.numerics.polynomial import Array, impulse, lag_columns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +95,7 @@ class Structure:
         """Return the largest lag of u in the B of a group."""
         return max(self.nk[j] + self.nb[j] for j in group) - 1
 
-    def forgotten(self, start: int) -> int:
+    def past_pulse_count(self, start: int) -> int:
         """Return the number of pulses that represent the past of y, if y begins at `start`."""
         if start == 0 and self.at_rest:
             return 0
@@ -155,7 +155,7 @@ def free_columns(F: Array, N: int, *, count: int, drift: bool) -> Array:
 
     F is the denominator without the integrator. The ramp is t + 1, the sum of a unit input.
     """
-    pulses = lagged(impulse(F, N), range(count))
+    pulses = lag_columns(impulse(F, N), range(count))
     if not drift:
         return pulses
     return np.column_stack([pulses, np.ones(N), np.arange(1.0, N + 1.0)])

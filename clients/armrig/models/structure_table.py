@@ -85,7 +85,7 @@ class RegisteredStructure:
         return f"{self.title}[{' '.join(str(n) for n in orders.values())}]"
 
 
-def named(orders: Mapping[str, int | None]) -> str:
+def orders_text(orders: Mapping[str, int | None]) -> str:
     """Return a text with the orders that are not None, such as nb=4, nf=4, nk=1."""
     return ", ".join(f"{name}={n}" for name, n in orders.items() if n is not None)
 

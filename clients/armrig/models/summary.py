@@ -13,7 +13,7 @@ from armrig.models.characteristics import (
     model_characteristics,
     overlapping,
 )
-from armrig.models.uncertainty import Draws, drawn, pole_regions, zero_regions
+from armrig.models.uncertainty import Draws, parameter_draws, pole_regions, zero_regions
 from armrig.numerics.confidence_regions import HALF_WIDTH, Region
 from armrig.numerics.quantities import minus, plural, with_range
 
@@ -72,21 +72,21 @@ class Summary:
         }
 
     def _figure_facts(self, name: str) -> dict[str, Any]:
-        known = self.figures.ranges[name]
+        band = self.figures.ranges[name]
         return {
             "value": _finite(getattr(self.figures, name)),
-            "low": _finite(float(known.low)),
-            "high": _finite(float(known.high)),
-            "method": known.method,
+            "low": _finite(float(band.low)),
+            "high": _finite(float(band.high)),
+            "method": band.method,
         }
 
     def __repr__(self) -> str:
         """Return the summary as a table."""
         form = "robust" if self.robust else "classic"
         lines = [f"95 % ranges, {form} covariance; * by draws, as the linearisation is poor"]
-        for what, found in (("pole", self.poles), ("zero", self.zeros)):
-            shown = [r for r in found if r.centre.imag >= 0]
-            lines += [f"  {what:15} {_root(r)}" for r in shown]
+        for kind, regions in (("pole", self.poles), ("zero", self.zeros)):
+            upper = [r for r in regions if r.centre.imag >= 0]
+            lines += [f"  {kind:15} {_root(r)}" for r in upper]
         for name in SCALARS:
             of_rate = " (rate)" if self.figures.integrating and name == "gain" else ""
             lines.append(f"  {_NAMES.get(name, name) + of_rate:15} {self._figure(name)}")
@@ -101,12 +101,12 @@ class Summary:
         return "\n".join(lines)
 
     def _figure(self, name: str) -> str:
-        value, known = getattr(self.figures, name), self.figures.ranges[name]
+        value, band = getattr(self.figures, name), self.figures.ranges[name]
         if np.isnan(value):
             return "none"
         unit = _UNITS[name] or self.gain_unit
         unit += "/s" if name == "gain" and self.figures.integrating and unit else ""
-        return f"{_range(value, float(known.low), float(known.high), known.method)} {unit}".rstrip()
+        return f"{_range(value, float(band.low), float(band.high), band.method)} {unit}".rstrip()
 
 
 def summary(model: Fit) -> Summary:
@@ -121,7 +121,7 @@ def summary(model: Fit) -> Summary:
     """
     if model.Ts == 0:
         model = model.to_discrete()
-    draws = drawn(model)
+    draws = parameter_draws(model)
     return Summary(
         poles=tuple(pole_regions(model, draws)),
         zeros=tuple(zero_regions(model, draws)),

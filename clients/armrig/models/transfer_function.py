@@ -13,7 +13,7 @@ import numpy as np
 
 from armrig.models.polynomials import Polynomials
 from armrig.models.state_space import Matrix, StateSpace, Vector, freeze
-from armrig.numerics.exact_sampling import Hold, sampled
+from armrig.numerics.exact_sampling import Hold, sample_system
 
 _ONE = np.ones(1)
 
@@ -121,7 +121,9 @@ class TransferFunction:
         b, F = self.B[0][0], self.F[0][0]
         powers = Ts ** np.arange(1.0, F.size)
         scale = Ts ** (F.size - 1 - np.arange(b.size - 1.0, -1.0, -1.0))
-        exact = sampled(F[1:] * powers, self.delay / Ts, self.hold, fraction=self.delay_estimated)
+        exact = sample_system(
+            F[1:] * powers, self.delay / Ts, self.hold, fraction=self.delay_estimated
+        )
         M = exact.B[:, b.size - 1 :: -1] * scale  # columns in the order b_0 … b_m
         B, F_q = M @ b, exact.F
         same = bool(np.isclose(Ts, self.Ts, rtol=1e-9, atol=0.0))
@@ -138,21 +140,21 @@ class TransferFunction:
             integrator=self.integrators[0],
         )
         J = np.zeros((form.theta.size, self.theta.size))
-        own = {letter: self.slice_of(letter) for letter in ("b", "c", "d", "f", "delay")}
-        to = {letter: form.slice_of(letter, 0, 0) for letter in "bcdf"}
-        J[to["b"], own["b"]] = M
+        columns = {letter: self.slice_of(letter) for letter in ("b", "c", "d", "f", "delay")}
+        rows = {letter: form.slice_of(letter, 0, 0) for letter in "bcdf"}
+        J[rows["b"], columns["b"]] = M
         at, used = b * scale, slice(b.size - 1, None, -1)
-        J[to["b"], own["f"]] = np.einsum("lpk,p->lk", exact.B_by_f[:, used], at) * powers
-        J[to["f"], own["f"]] = exact.F_by_f[1:] * powers
+        J[rows["b"], columns["f"]] = np.einsum("lpk,p->lk", exact.B_by_f[:, used], at) * powers
+        J[rows["f"], columns["f"]] = exact.F_by_f[1:] * powers
         if self.integrators[0]:  # f_n is fixed
-            J[:, own["f"].stop - 1] = 0.0
+            J[:, columns["f"].stop - 1] = 0.0
         if self.delay_estimated:
-            J[to["b"], own["delay"]] = (exact.B_by_delay[:, used] @ at / Ts)[:, None]
+            J[rows["b"], columns["delay"]] = (exact.B_by_delay[:, used] @ at / Ts)[:, None]
         if same:
             for letter in "cd":
-                J[to[letter], own[letter]] = np.eye(to[letter].stop - to[letter].start)
+                J[rows[letter], columns[letter]] = np.eye(rows[letter].stop - rows[letter].start)
         return form, J
 
-    def realised(self) -> StateSpace:
+    def innovations_form(self) -> StateSpace:
         """Return the innovations form, sampled as the estimation data."""
-        return self.sampled(self.Ts)[0].realised()
+        return self.sampled(self.Ts)[0].innovations_form()

@@ -49,10 +49,10 @@ class Draws:
     def left_out(self) -> str:
         """Text with the numbers of rejected draws, or ""."""
         counted = ((self.unstable, "unstable"), (self.degenerate, "degenerate"))
-        return ", ".join(f"{n} of {self.asked} {what}" for n, what in counted if n)
+        return ", ".join(f"{n} of {self.asked} {reason}" for n, reason in counted if n)
 
 
-def drawn(model: Fit, *, n: int = DRAWS) -> Draws | None:
+def parameter_draws(model: Fit, *, n: int = DRAWS) -> Draws | None:
     """Return n draws of theta from N(theta, P), or None if nothing was estimated or P is not known.
 
     P is the trusted covariance of the model. With P = W W^T the draws are theta + W x, with x
@@ -105,11 +105,11 @@ def directions(model: Fit) -> Matrix:
     return np.asarray(outward @ (std[:, None] * vector * np.sqrt(np.maximum(value, 0.0))))
 
 
-def _stable(model: Fit, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _stable(model: Fit, theta: Matrix, finite: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask of the draws with all poles, except one fixed at 1, inside the unit circle."""
     inside = np.ones(theta.shape[0], dtype=bool)
     for letter in "af":
-        z = roots_of(model, theta, letter, known)
+        z = roots_of(model, theta, letter, finite)
         inside &= (np.abs(z[:, int(letter == model.integrating) :]) < 1).all(axis=1)
     return inside
 
@@ -122,11 +122,11 @@ def polynomial_of(model: Fit, theta: Matrix, letter: str) -> Matrix:
 
 
 def roots_of(
-    model: Fit, theta: Matrix, letter: str, known: NDArray[np.bool_] | None = None
+    model: Fit, theta: Matrix, letter: str, finite: NDArray[np.bool_] | None = None
 ) -> Complex:
     """Return the roots of one polynomial of each draw, (n, order); a fixed root at 1 is first.
 
-    The roots are the eigenvalues of the companion matrix, or NaN if `known` is False for a draw.
+    The roots are the eigenvalues of the companion matrix, or NaN if `finite` is False for a draw.
     """
     p = polynomial_of(model, theta, letter)[:, model.nk if letter == "b" else 0 :]
     fixed = letter == model.integrating
@@ -134,7 +134,7 @@ def roots_of(
         p = np.cumsum(p, axis=1)[:, :-1]
     n, order = p.shape[0], p.shape[1] - 1
     z = np.full((n, order), np.nan, dtype=np.complex128)
-    some = np.ones(n, dtype=bool) if known is None else known
+    some = np.ones(n, dtype=bool) if finite is None else finite
     if order:
         companion = np.zeros((int(np.count_nonzero(some)), order, order))
         companion[:, 0, :] = -p[some, 1:] / p[some, :1]
@@ -171,19 +171,19 @@ def pole_regions(model: Fit, draws: Draws | None = None) -> list[Region]:
 
     The regions of the roots of A and of the roots of F are computed separately.
     """
-    draws = drawn(model) if draws is None else draws
+    draws = parameter_draws(model) if draws is None else draws
     poles = model.poles()
     n = model.A.size - 1
-    found = []
+    all_regions = []
     for letter, part in (("a", slice(None, n)), ("f", slice(n, None))):
         samples = None if draws is None else roots_of(model, draws.theta, letter)
-        found += regions(poles.values[part], poles.covariance[part], samples)
-    return found
+        all_regions += regions(poles.values[part], poles.covariance[part], samples)
+    return all_regions
 
 
 def zero_regions(model: Fit, draws: Draws | None = None) -> list[Region]:
     """Return the 95 % region of each zero, in the order of `model.zeros()`."""
-    draws = drawn(model) if draws is None else draws
+    draws = parameter_draws(model) if draws is None else draws
     zeros = model.zeros()
     samples = None if draws is None else roots_of(model, draws.theta, "b")
     if (

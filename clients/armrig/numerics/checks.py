@@ -52,20 +52,20 @@ def several(name: str, values: Any) -> list[int]:
     if not isinstance(values, Iterable) or isinstance(values, str):
         got = f"{name}={values!r} must be several numbers"
         raise InputTypeError(f"{got}, such as {name}=range(1, 5) or {name}=(1, 2, 4)")
-    found = [*values]
-    if not found:
+    numbers = [*values]
+    if not numbers:
         raise InputError(f"{name} is empty; give numbers, such as {name}=range(1, 5)")
-    return found
+    return numbers
 
 
 def several_of(name: str, values: Iterable[str], allowed: Collection[str]) -> list[Any]:
     """Return the names of an argument as a list; refuse an unknown name and an empty sequence."""
-    found = [*values]
-    if unknown := [value for value in found if value not in allowed]:
+    names = [*values]
+    if unknown := [value for value in names if value not in allowed]:
         raise InputError(f"{name} has {unknown[0]!r}; each must be one of {', '.join(allowed)}")
-    if not found:
+    if not names:
         raise InputError(f"{name} is empty; give at least one of {', '.join(allowed)}")
-    return found
+    return names
 
 
 def column(name: str, values: ArrayLike) -> NDArray[np.float64]:
@@ -78,20 +78,20 @@ def column(name: str, values: ArrayLike) -> NDArray[np.float64]:
         msg = f"{name} is {kind}; give an array of numbers, (N,)"
         msg += f", such as data.{name}" if name in ("u", "y") else ""
         raise InputTypeError(msg)
-    given = np.asanyarray(values)
-    are_numbers = given.dtype.kind == "O" and all(isinstance(x, Number) for x in given.ravel())
-    if given.dtype.kind in "USO" and not are_numbers:
-        first = given.ravel()[0] if given.size else ""
+    array = np.asanyarray(values)
+    are_numbers = array.dtype.kind == "O" and all(isinstance(x, Number) for x in array.ravel())
+    if array.dtype.kind in "USO" and not are_numbers:
+        first = array.ravel()[0] if array.size else ""
         raise InputError(
             f"{name} contains text or other objects ({str(first)[:20]!r}); give numbers with a "
             "decimal point, or read a file with armrig.load_data(path)"
         )
-    if np.iscomplexobj(given):
+    if np.iscomplexobj(array):
         raise InputError(
-            f"{name} is complex ({given.dtype}), but must be real; give {name}.real, or the "
+            f"{name} is complex ({array.dtype}), but must be real; give {name}.real, or the "
             "magnitude if the magnitude was measured"
         )
-    taken = real_copy(given)
+    taken = real_copy(array)
     if taken.ndim != 1 or taken.size == 0:
         raise InputError(
             f"{name} has shape {taken.shape}, but must be (N,), N >= 1; {_way_out(name, taken)}"
@@ -99,11 +99,11 @@ def column(name: str, values: ArrayLike) -> NDArray[np.float64]:
     return taken
 
 
-def real_copy(given: NDArray[Any]) -> NDArray[np.float64]:
+def real_copy(array: NDArray[Any]) -> NDArray[np.float64]:
     """Return a column-major copy of real numbers, with NaN for masked values."""
-    taken = np.array(given, dtype=np.float64, order="F")
-    if isinstance(given, np.ma.MaskedArray):
-        taken[np.ma.getmaskarray(given)] = np.nan
+    taken = np.array(array, dtype=np.float64, order="F")
+    if isinstance(array, np.ma.MaskedArray):
+        taken[np.ma.getmaskarray(array)] = np.nan
     return taken
 
 

@@ -103,14 +103,14 @@ class Region:
         return np.asarray(around + np.array([[self.centre.real], [self.centre.imag]]))
 
 
-def linearised_band(value: ArrayLike, std: ArrayLike, *, least: float = -np.inf) -> Band:
+def linear_band(value: ArrayLike, std: ArrayLike, *, least: float = -np.inf) -> Band:
     """Return value ± 1.96 std, with lower edges of at least `least`."""
     value = np.asarray(value, dtype=np.float64)
     width = HALF_WIDTH * np.asarray(std, dtype=np.float64)
     return Band(low=np.maximum(value - width, least), high=value + width, method="linearised")
 
 
-def sampled_band(samples: Matrix) -> Band:
+def band_of_draws(samples: Matrix) -> Band:
     """Return the 2.5 % and 97.5 % quantiles of draws (m, n) or (m,)."""
     with np.errstate(invalid="ignore"):
         low, high = np.quantile(samples, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2], axis=0)
@@ -128,13 +128,13 @@ def band(
     `samples` (m, n) are the values for draws of theta; with None the ranges are linearised. `least`
     is a lower limit of the values, such as 0 for a magnitude.
     """
-    linear = linearised_band(value, std, least=least)
+    linear = linear_band(value, std, least=least)
     if samples is None:
         return linear
     if samples.shape[0] < MIN_DRAWS:
         unknown = np.full_like(linear.low, np.nan)
         return Band(low=unknown, high=unknown, method="sampled")
-    sampled = sampled_band(samples)
+    sampled = band_of_draws(samples)
     with np.errstate(invalid="ignore", divide="ignore"):
         apart = np.maximum(np.abs(sampled.low - linear.low), np.abs(sampled.high - linear.high))
         apart = apart / (HALF_WIDTH * np.asarray(std, dtype=np.float64))
@@ -151,12 +151,12 @@ def regions(
     """
     of_roots = [None] * centres.size if draws is None else root_draws(centres, draws)
     return [
-        chosen_region(complex(z), P, points)
+        choose_region(complex(z), P, points)
         for z, P, points in zip(centres, covariances, of_roots, strict=True)
     ]
 
 
-def linearised_region(z: complex, P: Matrix) -> Region:
+def linear_region(z: complex, P: Matrix) -> Region:
     """Return the ellipse dz^T P^-1 dz <= 5.99, or the interval z ± 1.96 std for a real root."""
     interval = None
     if _is_real(z):
@@ -165,7 +165,7 @@ def linearised_region(z: complex, P: Matrix) -> Region:
     return Region(centre=z, method="linearised", covariance=P, interval=interval)
 
 
-def sampled_region(z: complex, P: Matrix, draws: RootDraws) -> Region:
+def region_of_draws(z: complex, P: Matrix, draws: RootDraws) -> Region:
     """Return the region of the densest 95 % of the pairs, and the interval of the real draws.
 
     If less than 0.5 % of the draws are pairs, there is no region. If less than 0.5 % of the draws
@@ -174,7 +174,7 @@ def sampled_region(z: complex, P: Matrix, draws: RootDraws) -> Region:
     least = MIN_KIND_SHARE * draws.upper.size
     interval = None
     if draws.reals.size > least:
-        x = sampled_band(draws.reals)
+        x = band_of_draws(draws.reals)
         interval = (float(x.low), float(x.high))
     return Region(
         centre=z,
@@ -186,9 +186,9 @@ def sampled_region(z: complex, P: Matrix, draws: RootDraws) -> Region:
     )
 
 
-def chosen_region(z: complex, P: Matrix, draws: RootDraws | None) -> Region:
+def choose_region(z: complex, P: Matrix, draws: RootDraws | None) -> Region:
     """Return the linearised region, or the sampled region if the linearisation is poor."""
-    linear = linearised_region(z, P)
+    linear = linear_region(z, P)
     if draws is None or not (np.isfinite(P).all() and P.any()):
         return linear
     if draws.upper.size < MIN_DRAWS:
@@ -202,9 +202,9 @@ def chosen_region(z: complex, P: Matrix, draws: RootDraws | None) -> Region:
         return (
             linear
             if OUTSIDE_RANGE[0] <= outside <= OUTSIDE_RANGE[1]
-            else sampled_region(z, P, draws)
+            else region_of_draws(z, P, draws)
         )
-    sampled = sampled_region(z, P, draws)
+    sampled = region_of_draws(z, P, draws)
     if sampled.interval is None or sampled.densest is not None:
         return sampled
     width = linear.interval[1] - z.real
@@ -282,8 +282,8 @@ def highest_density_region(points: Complex) -> HighestDensityRegion:
     plane = _plane(points) @ scale.T
     tree = cKDTree(plane)
     # The first neighbour of a draw is the draw itself, so k is larger by 1.
-    own, _ = tree.query(plane, k=[_neighbours(points.size) + 1])
-    limit = float(np.quantile(own[:, 0], 0.95)) or 1e-12
+    distances, _ = tree.query(plane, k=[_neighbours(points.size) + 1])
+    limit = float(np.quantile(distances[:, 0], 0.95)) or 1e-12
     return HighestDensityRegion(points=points, scale=scale, limit=limit, tree=tree)
 
 
@@ -293,27 +293,27 @@ def root_draws(centres: Complex, roots: Complex) -> list[RootDraws]:
     In each draw the roots are assigned to the roots of the estimate so that the sum of distances is
     least. If a pair became two real roots, both real roots are draws of each root of the pair.
     """
-    assigned = _assigned(centres, roots)
-    found = []
+    assigned = _assign_roots(centres, roots)
+    draws = []
     for i, z in enumerate(centres):
-        own = assigned[:, i]
-        real = np.abs(own.imag) < REAL_TOLERANCE
-        pairs = own[~real].real + 1j * np.abs(own[~real].imag)
-        reals = own[real].real
+        drawn_roots = assigned[:, i]
+        real = np.abs(drawn_roots.imag) < REAL_TOLERANCE
+        pairs = drawn_roots[~real].real + 1j * np.abs(drawn_roots[~real].imag)
+        reals = drawn_roots[real].real
         if abs(z.imag) >= REAL_TOLERANCE:
             other = assigned[:, int(np.argmin(np.abs(centres - np.conj(z))))]
             reals = np.concatenate([reals, other[np.abs(other.imag) < REAL_TOLERANCE].real])
-        found.append(RootDraws(pairs=pairs, reals=reals))
-    return found
+        draws.append(RootDraws(pairs=pairs, reals=reals))
+    return draws
 
 
-def _assigned(centres: Complex, roots: Complex) -> Complex:
+def _assign_roots(centres: Complex, roots: Complex) -> Complex:
     from scipy.optimize import linear_sum_assignment
 
     out = np.empty_like(roots)
     for i, row in enumerate(roots):
-        of, at = linear_sum_assignment(np.abs(centres[:, None] - row[None, :]))
-        out[i, of] = row[at]
+        indices, at = linear_sum_assignment(np.abs(centres[:, None] - row[None, :]))
+        out[i, indices] = row[at]
     return out
 
 

@@ -25,14 +25,14 @@ _MIN_WHITENED = 30  # least number of errors from which the correlation of outpu
 
 def pairwise_covariance(e: Array) -> Array:
     """Return the positive definite covariance of e (N, ny) about 0; a missing value is NaN."""
-    known = np.isfinite(e)
-    x, mark = np.where(known, e, 0.0), known.astype(np.float64)
+    measured = np.isfinite(e)
+    x, mark = np.where(measured, e, 0.0), measured.astype(np.float64)
     pairs = np.maximum(mark.T @ mark, 1.0)
-    found = (x.T @ x) / pairs
-    std = np.sqrt(np.diag(found))
+    covariance = (x.T @ x) / pairs
+    std = np.sqrt(np.diag(covariance))
     if not (std > 0).all():
         return np.diag(np.maximum(std, 1e-150) ** 2)
-    values, axes = np.linalg.eigh(found / np.outer(std, std))
+    values, axes = np.linalg.eigh(covariance / np.outer(std, std))
     # The missing samples differ between pairs of outputs, so the estimate can be indefinite.
     inside = (axes * np.maximum(values, 1e-8)) @ axes.T
     return np.asarray(inside * np.outer(std, std))
@@ -52,11 +52,11 @@ def exogenous_score(blocks: Sequence[Array], noise: Autoregression) -> Array:
        estimation", Handbook of Statistics 15, 1997 (the autoregressive estimate).
     """
     # Lists, not generators: a generator inside the comprehension would use only the last Psi.
-    whole = [
+    backward_blocks = [
         [Psi[max(b - _FILTER_ROWS, 0) : b] for b in range(len(Psi), 0, -_FILTER_ROWS)]
         for Psi in blocks
     ]
-    return exogenous_score_in_blocks(whole, noise, blocks[0].shape[1])
+    return exogenous_score_in_blocks(backward_blocks, noise, blocks[0].shape[1])
 
 
 def exogenous_score_in_blocks(
@@ -96,20 +96,22 @@ def joint_exogenous_score(
     models, variances = zip(*noise, strict=True)
     # A value that depends on a missing sample is NaN.
     white = [
-        np.column_stack([np.convolve(x, C)[: x.size] for x, C in zip(of, models, strict=True)])
-        for of in e
+        np.column_stack(
+            [np.convolve(x, C)[: x.size] for x, C in zip(experiment, models, strict=True)]
+        )
+        for experiment in e
     ]
-    known = np.isfinite(np.vstack(white))
-    if np.min(known.T.astype(int) @ known) < _MIN_WHITENED:
+    finite = np.isfinite(np.vstack(white))
+    if np.min(finite.T.astype(int) @ finite) < _MIN_WHITENED:
         # Missing samples leave too few errors of the autoregressions.
-        white = [np.column_stack(of) for of in e]
+        white = [np.column_stack(experiment) for experiment in e]
     Sigma = pairwise_covariance(np.vstack(white))
     Sigma *= np.sqrt(np.outer(variances, variances) / np.outer(np.diag(Sigma), np.diag(Sigma)))
     total = np.zeros((H[0][0].shape[1],) * 2)
-    for of in H:
+    for experiment in H:
         back = [
             lfilter([1.0], C, h[::-1], axis=0) if C.size > 1 else h[::-1]
-            for h, C in zip(of, models, strict=True)
+            for h, C in zip(experiment, models, strict=True)
         ]
         for i in range(ny):
             for k in range(ny):
@@ -130,26 +132,27 @@ def joint_score(
     ----------
     .. [1] P. Stoica, R. Moses, *Spectral Analysis of Signals*, 2005, section 2.5.
     """
-    N = sum(of[0].size for of in e)
+    N = sum(experiment[0].size for experiment in e)
     lags = int(4 * np.sqrt(N))
-    size = 1 << (max(of[0].size for of in e) + lags).bit_length()
-    signals = [np.fft.rfft(np.nan_to_num(np.array(of)), size) for of in e]
-    known = [np.fft.rfft(np.isfinite(np.array(of)).astype(float), size) for of in e]
+    size = 1 << (max(experiment[0].size for experiment in e) + lags).bit_length()
+    signals = [np.fft.rfft(np.nan_to_num(np.array(experiment)), size) for experiment in e]
+    marks = [np.fft.rfft(np.isfinite(np.array(experiment)).astype(float), size) for experiment in e]
     k = np.minimum(np.arange(size), size - np.arange(size)) / lags
     window = np.where(k <= 0.5, 1 - 6 * k**2 * (1 - k), 2 * np.maximum(1 - k, 0.0) ** 3)
     total = np.zeros((H[0][0].shape[1],) * 2)
     for i, j in np.ndindex(len(e[0]), len(e[0])):
         products, pairs = (
-            np.fft.irfft(sum(x[i] * np.conj(x[j]) for x in of), size) for of in (signals, known)
+            np.fft.irfft(sum(x[i] * np.conj(x[j]) for x in transforms), size)
+            for transforms in (signals, marks)
         )
         spectrum = np.fft.rfft(window * products / np.maximum(pairs, 1.0))
-        for of in H:
-            after = spectrum[:, None] * np.fft.rfft(of[j], size, axis=0)
-            total += of[i].T @ np.fft.irfft(after, size, axis=0)[: len(of[i])]
+        for experiment in H:
+            after = spectrum[:, None] * np.fft.rfft(experiment[j], size, axis=0)
+            total += experiment[i].T @ np.fft.irfft(after, size, axis=0)[: len(experiment[i])]
     return total * N / max(N - parameters, 1)
 
 
-def correlated_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
+def newey_west_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
     """Return M by Newey and West's method, for a Psi that depends on past noise (ARX).
 
     The Bartlett weights are 1 - k/(L + 1) up to the lag L = floor(4 (N/100)^(2/9)). The estimate is
@@ -189,27 +192,27 @@ def whitening(noise_covariance: Array, rows: Array) -> Array:
     """
     N, ny = rows.shape
     if rows.all():
-        whole = np.linalg.inv(np.linalg.cholesky(noise_covariance))
-        return np.broadcast_to(whole, (N, ny, ny))
+        factor = np.linalg.inv(np.linalg.cholesky(noise_covariance))
+        return np.broadcast_to(factor, (N, ny, ny))
     G = np.zeros((N, ny, ny))
     for measured, times in patterns(rows):
         L = np.linalg.cholesky(noise_covariance[np.ix_(measured, measured)])
-        whole = np.zeros((ny, ny))
-        whole[np.ix_(measured, measured)] = np.linalg.inv(L)
-        G[times] = whole
+        factor = np.zeros((ny, ny))
+        factor[np.ix_(measured, measured)] = np.linalg.inv(L)
+        G[times] = factor
     return G
 
 
-def coloured(rows: Array, white: Array, noise_covariance: Array) -> Array:
+def colour_noise(rows: Array, white: Array, noise_covariance: Array) -> Array:
     """Return white values (N, ny, k) with the covariance of the outputs measured at `rows`.
 
     This is the inverse of `whitening`. Where an output is missing, the result is 0.
     """
-    found = np.zeros(white.shape)
+    noise = np.zeros(white.shape)
     for o, times in patterns(rows):
         at = np.ix_(times, o)
-        found[at] = np.linalg.cholesky(noise_covariance[np.ix_(o, o)]) @ white[at]
-    return found
+        noise[at] = np.linalg.cholesky(noise_covariance[np.ix_(o, o)]) @ white[at]
+    return noise
 
 
 def patterns(rows: Array) -> Iterator[tuple[Array, Array]]:

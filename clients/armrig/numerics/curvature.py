@@ -39,7 +39,7 @@ def doubts(
     1/(1 - 0.9 q^-1), N = 300, and three parameters its 95 % intervals contained 75 to 83 % of the
     true values.
     """
-    found = [("curved", _CURVED_TEXT)] if curved > MAX_TRUSTED else []
+    reasons = [("curved", _CURVED_TEXT)] if curved > MAX_TRUSTED else []
     classic, used = np.diag(covariance), np.diag(robust)
     varies = np.flatnonzero((classic > 0) & (used > 0))
     if coloured and varies.size:
@@ -47,8 +47,8 @@ def doubts(
         d = np.linalg.matrix_rank(covariance[np.ix_(varies, varies)] / np.outer(std, std), 1e-8)
         independent = N * float(np.min(classic[varies] / used[varies]))
         if independent < _MIN_INDEPENDENT * d / outputs:
-            found.append(("few_independent", _FEW_TEXT.format(N, round(independent))))
-    return found
+            reasons.append(("few_independent", _FEW_TEXT.format(N, round(independent))))
+    return reasons
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -95,18 +95,18 @@ def curvature(
     .. [1] A. Gelman et al., *Bayesian Data Analysis*, 3rd ed., 2013, sections 4.1 and 10.4 (normal
        approximation and importance ratios).
     """
-    own = np.delete(np.arange(theta.size), followers)
-    classic = covariance[np.ix_(own, own)]
+    free = np.delete(np.arange(theta.size), followers)
+    classic = covariance[np.ix_(free, free)]
     used = classic if used is None else used
     deviation, scale = (np.sqrt(np.diag(M)) for M in (used, classic))
-    if not own.size or not (np.all(deviation > 0) and np.all(scale > 0)):
+    if not free.size or not (np.all(deviation > 0) and np.all(scale > 0)):
         return 0.0
     values, axes = np.linalg.eigh(used / np.outer(deviation, deviation))
     root = deviation[:, None] * axes * np.sqrt(np.maximum(values, 0.0))
     information = np.linalg.pinv(classic / np.outer(scale, scale)) / np.outer(scale, scale)
-    along = covariance[:, own] @ information
+    along = covariance[:, free] @ information
     least, logs = cost(theta), [0.0]  # ln r is 0 at theta: draws that are all alike differ from it
-    draws = np.random.default_rng(0).standard_normal((_DRAWS, own.size))
+    draws = np.random.default_rng(0).standard_normal((_DRAWS, free.size))
     for z in draws[np.argsort(-np.sum(draws**2, axis=1))]:
         step = root @ z
         rise, parabola = cost(theta + along @ step) - least, variance * (step @ information @ step)

@@ -51,7 +51,9 @@ class SampledSystem:
     """Derivatives of B by the delay, (L, n)."""
 
 
-def sampled(f: Array, delay: float, hold: Hold = "zoh", *, fraction: bool = False) -> SampledSystem:
+def sample_system(
+    f: Array, delay: float, hold: Hold = "zoh", *, fraction: bool = False
+) -> SampledSystem:
     """Return the sampled s^p/F(s) exp(-delay s) for F = s^n + f_1 s^(n-1) + … + f_n.
 
     Parameters
@@ -66,17 +68,17 @@ def sampled(f: Array, delay: float, hold: Hold = "zoh", *, fraction: bool = Fals
         If True, B has the rows of a delay that is no whole number of samples, for any delay.
     """
     n = f.size
-    whole = int(np.floor(delay + _WHOLE_TOLERANCE))
-    rest = max(delay - whole, 0.0)
-    rest = 0.0 if rest < _WHOLE_TOLERANCE else rest
+    whole_delay = int(np.floor(delay + _WHOLE_TOLERANCE))
+    tau = max(delay - whole_delay, 0.0)
+    tau = 0.0 if tau < _WHOLE_TOLERANCE else tau
     size = n + (1 if hold == "zoh" else 2)
     A = np.eye(size, k=1)
     A[n - 1, :n] = -f[::-1]
-    one, one_by_f = _exponential(A, n)
-    Phi, Phi_by_f = one[:n, :n], one_by_f[:, :n, :n]
-    part, part_by_f = (one, one_by_f) if rest == 0 else _exponential(A * (1 - rest), n, 1 - rest)
+    full, full_by_f = _exponential(A, n)
+    Phi, Phi_by_f = full[:n, :n], full_by_f[:, :n, :n]
+    part, part_by_f = (full, full_by_f) if tau == 0 else _exponential(A * (1 - tau), n, 1 - tau)
     G, G_by_f, G_by_delay = _weights(
-        (one, one_by_f), (part, part_by_f), rest, n, fraction=fraction or rest > 0, hold=hold
+        (full, full_by_f), (part, part_by_f), tau, n, fraction=fraction or tau > 0, hold=hold
     )
     F = np.real(np.poly(np.linalg.eigvals(Phi)))
     M, M_by_f, F_by_f = _faddeev(Phi, Phi_by_f, F)
@@ -92,7 +94,7 @@ def sampled(f: Array, delay: float, hold: Hold = "zoh", *, fraction: bool = Fals
     return SampledSystem(
         F=F,
         B=B,
-        nk=whole + int(hold == "zoh"),
+        nk=whole_delay + int(hold == "zoh"),
         F_by_f=F_by_f,
         B_by_f=B_by_f,
         B_by_delay=B_by_delay,
@@ -121,26 +123,26 @@ def _exponential(A: Array, n: int, time: float = 1.0) -> tuple[Array, Array]:
 
 
 def _weights(
-    one: tuple[Array, Array],
+    full: tuple[Array, Array],
     part: tuple[Array, Array],
-    rest: float,
+    tau: float,
     n: int,
     *,
     fraction: bool,
     hold: Hold,
 ) -> tuple[Array, Array, Array]:
     """Return G (L, n), from the latest sample of u on, and its derivatives by f and the delay."""
-    # A held input acts on x(k+1) by Gamma(1 - rest) u(k) + (Gamma(1) - Gamma(1 - rest)) u(k - 1).
+    # A held input acts on x(k+1) by Gamma(1 - tau) u(k) + (Gamma(1) - Gamma(1 - tau)) u(k - 1).
     # The weights of a straight line follow from the response R to a ramp and the sum Gamma(1).
-    Gamma = [np.concatenate([x[0][None, :n, n], x[1][:, :n, n]]) for x in (one, part)]
-    of_b = part[0][:n, n - 1]  # Phi(1 - rest) b is the derivative of Gamma
+    Gamma = [np.concatenate([x[0][None, :n, n], x[1][:, :n, n]]) for x in (full, part)]
+    of_b = part[0][:n, n - 1]  # Phi(1 - tau) b is the derivative of Gamma
     none = np.zeros(n)
     if hold == "zoh":
         rows = [Gamma[1], Gamma[0] - Gamma[1]]
         by_delay = [-of_b, of_b]
     else:
-        R = [np.concatenate([x[0][None, :n, n + 1], x[1][:, :n, n + 1]]) for x in (one, part)]
-        last = R[1] - R[0] + rest * Gamma[0]
+        R = [np.concatenate([x[0][None, :n, n + 1], x[1][:, :n, n + 1]]) for x in (full, part)]
+        last = R[1] - R[0] + tau * Gamma[0]
         rows = [R[1], Gamma[0] - R[1] - last, last]
         slope = Gamma[0][0] - Gamma[1][0]
         by_delay = [-Gamma[1][0], Gamma[1][0] - slope, slope]
@@ -153,12 +155,12 @@ def _weights(
 def _faddeev(Phi: Array, Phi_by_f: Array, F: Array) -> tuple[list[Array], list[Array], Array]:
     """Return M_i, their derivatives (n, n, n) by f, and the derivatives of F (n + 1, n)."""
     n = F.size - 1
-    one = np.eye(n)
-    M, M_by_f = [one], [np.zeros((n, n, n))]
+    identity = np.eye(n)
+    M, M_by_f = [identity], [np.zeros((n, n, n))]
     F_by_f = np.zeros((n + 1, n))
     for i in range(1, n + 1):
         F_by_f[i] = -np.einsum("pq,kqp->k", M[-1], Phi_by_f)
         if i < n:
-            M_by_f.append(Phi_by_f @ M[-1] + Phi @ M_by_f[-1] + F_by_f[i][:, None, None] * one)
-            M.append(Phi @ M[-1] + F[i] * one)
+            M_by_f.append(Phi_by_f @ M[-1] + Phi @ M_by_f[-1] + F_by_f[i][:, None, None] * identity)
+            M.append(Phi @ M[-1] + F[i] * identity)
     return M, M_by_f, F_by_f

@@ -25,8 +25,8 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.numerics.covariance import (
-    correlated_score,
     joint_exogenous_score,
+    newey_west_score,
     pairwise_covariance,
 )
 from armrig.numerics.criteria import fit_percent, mdl
@@ -39,7 +39,7 @@ from armrig.numerics.whiteness import (
     Whiteness,
     autoregression,
     default_lags,
-    joined,
+    join_residuals,
     ljung_box,
     portmanteau,
 )
@@ -155,30 +155,35 @@ def infer(
     outputs = list(zip(*experiments, strict=True))
     ny = len(outputs)
     parameters = [W.shape[0] / ny] * ny if parameters is None else parameters
-    counts = np.array([sum(int(np.count_nonzero(np.isfinite(r.e))) for r in of) for of in outputs])
+    counts = np.array(
+        [sum(int(np.count_nonzero(np.isfinite(r.e))) for r in parts) for parts in outputs]
+    )
     degrees = np.array(
-        [_degrees(of, N, d) for of, N, d in zip(outputs, counts.tolist(), parameters, strict=True)]
+        [
+            _degrees(parts, N, d)
+            for parts, N, d in zip(outputs, counts.tolist(), parameters, strict=True)
+        ]
     )
     # For tests on other data by MDL: in short data AIC often finds an autoregression in white
     # residuals, whose variance is too small.
-    sizes = [_rounding(of) for of in outputs]
+    sizes = [_rounding(parts) for parts in outputs]
     consistent = [
-        autoregression([r.e for r in of], mdl, size)
-        for of, size in zip(outputs, sizes, strict=True)
+        autoregression([r.e for r in parts], mdl, size)
+        for parts, size in zip(outputs, sizes, strict=True)
     ]
     quality = tuple(
         replace(
-            quality_of(of, test=test, rounding=rounding, prewhitening=prewhitening),
+            quality_of(parts, test=test, rounding=rounding, prewhitening=prewhitening),
             autoregression=tuple(C.tolist()),
             innovation_variance=s2,
         )
-        for of, (C, s2) in zip(outputs, consistent, strict=True)
+        for parts, (C, s2) in zip(outputs, consistent, strict=True)
     )
     inflation = counts / degrees
     if ny == 1:
         Lambda = np.array([[quality[0].loss]]) * inflation
     else:
-        e = np.vstack([np.column_stack([r.e for r in of]) for of in experiments])
+        e = np.vstack([np.column_stack([r.e for r in experiment]) for experiment in experiments])
         Lambda = pairwise_covariance(e) * np.sqrt(np.outer(inflation, inflation))
     exact = [q.loss <= size**2 for q, size in zip(quality, sizes, strict=True)]
     Lambda = Lambda + np.diag(np.where(exact, np.square(sizes), 0.0))
@@ -216,20 +221,30 @@ def _white_score(experiments: Sequence[Sequence[OutputResiduals]], Lambda: Array
     if len(Lambda) == 1 and experiments[0][0].Psi is None:
         return np.asarray(Lambda[0, 0] * np.eye(experiments[0][0].H.shape[1]))
     pairs = (
-        ((i, k), of[i].H.T @ of[k].H) for of in experiments for i, k in np.ndindex(Lambda.shape)
+        ((i, k), experiment[i].H.T @ experiment[k].H)
+        for experiment in experiments
+        for i, k in np.ndindex(Lambda.shape)
     )
     return np.asarray(sum(Lambda[pair] * product for pair, product in pairs))
 
 
 def _score(experiments: Sequence[Sequence[OutputResiduals]], score: Score) -> Array:
     """Return M, the covariance of the sum of H_i(t) e_i(t)."""
-    H, e = [[r.H for r in of] for of in experiments], [[r.e for r in of] for of in experiments]
+    H, e = (
+        [[r.H for r in experiment] for experiment in experiments],
+        [[r.e for r in experiment] for experiment in experiments],
+    )
     if score == "exogenous":
-        return joint_exogenous_score(H, e, [autoregression([*of]) for of in zip(*e, strict=True)])
+        return joint_exogenous_score(
+            H, e, [autoregression([*errors]) for errors in zip(*e, strict=True)]
+        )
     if len(experiments[0]) == 1:
-        return correlated_score([h for (h,) in H], [v for (v,) in e])
-    scores = [np.sum([r.H * np.nan_to_num(r.e)[:, None] for r in of], axis=0) for of in experiments]
-    return correlated_score(scores, [np.ones(s.shape[0]) for s in scores])
+        return newey_west_score([h for (h,) in H], [v for (v,) in e])
+    scores = [
+        np.sum([r.H * np.nan_to_num(r.e)[:, None] for r in experiment], axis=0)
+        for experiment in experiments
+    ]
+    return newey_west_score(scores, [np.ones(s.shape[0]) for s in scores])
 
 
 def quality_of(
@@ -241,17 +256,17 @@ def quality_of(
 ) -> OutputQuality:
     """Return loss, fit and whiteness of one output; the arguments are those of `infer`."""
     e = np.concatenate([r.e for r in parts])
-    known = np.isfinite(e)
-    N, sse, fit = int(np.count_nonzero(known)), float(np.nansum(e**2)), float("nan")
+    finite = np.isfinite(e)
+    N, sse, fit = int(np.count_nonzero(finite)), float(np.nansum(e**2)), float("nan")
     measured = [r.y for r in parts if r.y is not None]
     if measured:
-        y = np.concatenate(measured)[known]
+        y = np.concatenate(measured)[finite]
         fit, rounding = fit_percent(y, sse), max(rounding, N * _rounding(parts) ** 2)
     white = NOT_TESTED
     lags = default_lags(N)
     if test == "ljung-box" and sse > rounding:
         fitted = min(round(prewhitening), lags - 1)
-        p = ljung_box(joined([r.e for r in parts], lags), lags, fitted)
+        p = ljung_box(join_residuals([r.e for r in parts], lags), lags, fitted)
         white = Whiteness(p_value=p, test=LJUNG_BOX)
     elif test == "portmanteau" and sse > rounding:
         Q = np.vstack([r.H for r in parts]) if parts[0].Psi is None else None

@@ -77,10 +77,10 @@ class KalmanGains:
 
         def change(k: int) -> tuple[Array, Array]:
             """Return dC_o (b, ny, p, n) and dA - G dC_o (b, n, p, n) at step k of each block."""
-            own = marks[:, k, :, None, None] * C
-            return own, A - _left(G[:, k], own)
+            dC_o = marks[:, k, :, None, None] * C
+            return dC_o, A - _left(G[:, k], dC_o)
 
-        def stepped(k: int, dP: Array, by: Array) -> Array:
+        def advance(k: int, dP: Array, by: Array) -> Array:
             """Return dP (b, n, p, n) after step k of each block, with `by` = dA - G dC_o."""
             back = F[:, k].swapaxes(1, 2)
             lost = self.Lambda @ (self.K - G[:, k]).swapaxes(1, 2)
@@ -90,7 +90,7 @@ class KalmanGains:
 
         ends, Phi = np.zeros((last + 1, n, p, n)), np.tile(np.eye(n), (last + 1, 1, 1))
         for k in range(blocks.length):
-            ends, Phi = stepped(k, ends, change(k)[1]), F[:, k] @ Phi
+            ends, Phi = advance(k, ends, change(k)[1]), F[:, k] @ Phi
         dP = np.zeros_like(ends)
         for j in range(last):
             now, back = Phi[j : j + 1], Phi[j : j + 1].swapaxes(1, 2)
@@ -98,18 +98,18 @@ class KalmanGains:
         by_gain, by_white, by_log = np.zeros((N, p, n)), np.zeros((N, p, ny)), np.zeros(p)
         for k in range(blocks.length):
             at = blocks.times(k)
-            own, by = change(k)
+            dC_o, by = change(k)
             Cm, u = marks[:, k, :, None] * self.C, U[:, k]
             V, back = P[:, k] @ Cm.swapaxes(1, 2), u.swapaxes(1, 2)
-            both = _right(dP, Cm.swapaxes(1, 2)) + _right(own, P[:, k]).transpose(0, 3, 2, 1)
+            both = _right(dP, Cm.swapaxes(1, 2)) + _right(dC_o, P[:, k]).transpose(0, 3, 2, 1)
             dG = _right(by, V) + _left(F[:, k], both)
             dG = _right(dG + _right(K, self.Lambda * marks[:, k, None]), back @ u)
-            dS = _right(_left(u, _left(Cm, both) + _right(own, V)), back).transpose(0, 2, 1, 3)
+            dS = _right(_left(u, _left(Cm, both) + _right(dC_o, V)), back).transpose(0, 2, 1, 3)
             by_gain[at] = np.einsum("bipj,bj->bpi", dG, nu[:, k])[: at.size]
             half = np.tril(dS, -1) + 0.5 * np.eye(ny) * dS
             by_white[at] = -np.einsum("bpij,bj->bpi", half, z[:, k])[: at.size]
             by_log += np.einsum("bpii->p", dS[: at.size])
-            dP = stepped(k, dP, by)
+            dP = advance(k, dP, by)
         return by_gain, by_white, by_log
 
 
@@ -123,12 +123,12 @@ def kalman_gains(A: Array, C: Array, K: Array, Lambda: Array, rows: Array) -> Ka
     codes = rows @ (1 << np.arange(ny))
     unique, which = np.unique(np.append(codes, (1 << ny) - 1), return_inverse=True)
     marks = (unique[:, None] >> np.arange(ny) & 1).astype(np.float64)
-    own = C * marks[:, :, None]
+    C_o = C * marks[:, :, None]
     R = Lambda * marks[:, :, None] * marks[:, None] + np.eye(ny) * (1 - marks[:, None])
     part = Lambda * marks[:, None]
     at_rest = part @ np.linalg.inv(R)
     G0 = K @ at_rest
-    Abar = A - G0 @ own
+    Abar = A - G0 @ C_o
     blocks = _Blocks.of(N)
     filled = np.full(blocks.count * blocks.length, which[-1])
     filled[:N] = which[:-1]
@@ -137,10 +137,10 @@ def kalman_gains(A: Array, C: Array, K: Array, Lambda: Array, rows: Array) -> Ka
     def step(k: int, P: Array) -> tuple[Array, Array, Array, Array]:
         """Return inv(S), G and F at step k of all blocks, and P after it."""
         at = kind[:, k]
-        V = P @ own[at].swapaxes(1, 2)
-        inverse = _inverse(own[at] @ V + R[at])
+        V = P @ C_o[at].swapaxes(1, 2)
+        inverse = _inverse(C_o[at] @ V + R[at])
         gain = G0[at] + Abar[at] @ V @ inverse
-        F = A - gain @ own[at]
+        F = A - gain @ C_o[at]
         lost = K - gain
         # This form keeps P positive semidefinite.
         return inverse, gain, F, F @ P @ F.swapaxes(1, 2) + lost @ Lambda @ lost.swapaxes(1, 2)
@@ -149,20 +149,20 @@ def kalman_gains(A: Array, C: Array, K: Array, Lambda: Array, rows: Array) -> Ka
     Phi, W = P + np.eye(n), P.copy()
     for k in range(blocks.length):
         inverse, _, F, P = step(k, P)
-        seen = own[kind[:, k]] @ Phi
+        seen = C_o[kind[:, k]] @ Phi
         W += seen.swapaxes(1, 2) @ inverse @ seen
         Phi = F @ Phi
     start = np.zeros_like(P)
     for j in range(blocks.count - 1):
-        after = Phi[j] @ _informed(start[j], W[j]) @ Phi[j].T
+        after = Phi[j] @ _add_information(start[j], W[j]) @ Phi[j].T
         start[j + 1] = P[j] + 0.5 * (after + after.T)
-    P, whole = start, (blocks.count, blocks.length)
-    every = [np.zeros((*whole, *shape)) for shape in ((n, n), (ny, ny), (n, ny), (n, n))]
+    P, grid = start, (blocks.count, blocks.length)
+    every = [np.zeros((*grid, *shape)) for shape in ((n, n), (ny, ny), (n, ny), (n, n))]
     for k in range(blocks.length):
-        found = P, *step(k, P)
-        for at_all, at_k in zip(every, found, strict=False):
+        matrices = P, *step(k, P)
+        for at_all, at_k in zip(every, matrices, strict=False):
             at_all[:, k] = at_k
-        P = found[-1]
+        P = matrices[-1]
     P, inverse, gain, F = (x.reshape(-1, *x.shape[2:])[:N] for x in every)
     which = which[:-1]
     white = _upwards(inverse)
@@ -196,9 +196,9 @@ class _Blocks:
 
     def split(self, x: Array) -> Array:
         """Return x (N, …) as (count, length, …), filled up with zeros."""
-        whole = np.zeros((self.count * self.length, *x.shape[1:]))
-        whole[: self.N] = x
-        return whole.reshape(self.count, self.length, *x.shape[1:])
+        padded = np.zeros((self.count * self.length, *x.shape[1:]))
+        padded[: self.N] = x
+        return padded.reshape(self.count, self.length, *x.shape[1:])
 
     def times(self, k: int) -> NDArray[np.int_]:
         """Return the samples at step k of the blocks; the last blocks may have none."""
@@ -218,7 +218,7 @@ def _right(X: Array, M: Array) -> Array:
     return np.asarray(X.reshape(*b, k * p, n) @ M).reshape(len(M), k, p, -1)
 
 
-def _informed(P: Array, W: Array) -> Array:
+def _add_information(P: Array, W: Array) -> Array:
     """Return inv(1 + P W) P for a small covariance P and the information W."""
     try:
         return np.asarray(np.linalg.solve(np.eye(len(P)) + P @ W, P))
@@ -237,14 +237,14 @@ def _upwards(inverse: Array) -> Array:
     if not np.isfinite(turned).all():
         return np.full(turned.shape, np.nan)
     try:
-        found = np.linalg.cholesky(turned)
+        factor = np.linalg.cholesky(turned)
     except np.linalg.LinAlgError:  # as in `_inverse`
         values, axes = np.linalg.eigh(turned)
         root = axes * np.sqrt(np.maximum(values, _MIN_EIGENVALUE))[:, None]
         R = np.asarray(np.linalg.qr(root.swapaxes(1, 2), mode="r"))
         signs = np.where(np.diagonal(R, axis1=1, axis2=2) < 0, -1.0, 1.0)
-        found = (R * signs[:, :, None]).swapaxes(1, 2)
-    return np.asarray(found[:, ::-1, ::-1].swapaxes(1, 2))
+        factor = (R * signs[:, :, None]).swapaxes(1, 2)
+    return np.asarray(factor[:, ::-1, ::-1].swapaxes(1, 2))
 
 
 def _inverse(S: Array) -> Array:

@@ -73,13 +73,13 @@ def orthonormal(M: Array, tolerance: float = RANK_TOLERANCE) -> Basis:
     Scaling makes the rank independent of units. The method is QR, because the normal equations
     square the condition number of M. `tolerance` is the relative error of M.
     """
-    Q, R, kept, scale = _decomposed(M, tolerance)
+    Q, R, kept, scale = _decompose(M, tolerance)
     return Basis(Q=Q, R=R, kept=kept, scale=scale, d=M.shape[1])
 
 
 def least_squares(M: Array, Y: Array) -> Array:
     """Return X (d, m) that minimises |Y - M X|; the coefficients of a dependent column are 0."""
-    Q, R, kept, scale = _decomposed(M)
+    Q, R, kept, scale = _decompose(M)
     X = np.zeros((M.shape[1], Y.shape[1]))
     if kept.size:
         # dtrtrs is not used, because OpenBLAS starts its threads for dtrtrs.
@@ -89,11 +89,11 @@ def least_squares(M: Array, Y: Array) -> Array:
 
 def without_span(M: Array, Y: Array) -> Array:
     """Return Y (N, m) minus its projection on the columns of M."""
-    Q, *_ = _decomposed(M)
+    Q, *_ = _decompose(M)
     return np.asarray(Y - Q @ (Q.T @ Y))
 
 
-def _decomposed(
+def _decompose(
     M: Array, tolerance: float = RANK_TOLERANCE
 ) -> tuple[Array, Array, NDArray[np.int_], Array]:
     """Return Q and R of the independent columns, their indices and their scales."""
@@ -102,16 +102,16 @@ def _decomposed(
     if used.size == 0 or M.shape[0] == 0:
         none = np.zeros(0)
         return np.zeros((M.shape[0], 0)), np.zeros((0, 0)), np.zeros(0, dtype=np.int_), none
-    whole = M if used.size == M.shape[1] else M[:, used]
+    columns = M if used.size == M.shape[1] else M[:, used]
     # The quotient is a new array in Fortran order, which LAPACK can overwrite without a copy.
-    Q, R, order = _pivoted_qr(np.divide(whole, scale[used], order="F"))
+    Q, R, order = _qr_with_pivots(np.divide(columns, scale[used], order="F"))
     diagonal = np.abs(np.diag(R))
     r = int(np.count_nonzero(diagonal > tolerance * diagonal[0]))
     kept = used[order[:r]]
     return Q[:, :r], R[:r, :r], kept, scale[kept]
 
 
-def _pivoted_qr(M: Array) -> tuple[Array, Array, NDArray[np.int_]]:
+def _qr_with_pivots(M: Array) -> tuple[Array, Array, NDArray[np.int_]]:
     """Return Q, R and the order of the columns in half of the time of SciPy's qr; overwrite M."""
     n, k = M.shape[1], min(M.shape)
     factored, order, tau, _, _ = dgeqp3(M, lwork=_LAPACK_BLOCK_COLUMNS * (n + 1), overwrite_a=1)
@@ -148,8 +148,8 @@ def triangle(blocks: Iterable[Array], width: int) -> Array:
     for block in blocks:
         if not block.size:
             continue
-        whole = np.asfortranarray(np.vstack([R, block]))
-        R = dgeqrf(whole, lwork=_LAPACK_BLOCK_COLUMNS * width, overwrite_a=True)[0][:width]
+        stack = np.asfortranarray(np.vstack([R, block]))
+        R = dgeqrf(stack, lwork=_LAPACK_BLOCK_COLUMNS * width, overwrite_a=True)[0][:width]
         R = R * upper_ones(*R.shape)
     return np.vstack([R, np.zeros((width - R.shape[0], width))])
 

@@ -61,7 +61,7 @@ def levenberg_marquardt(
     *,
     admissible: Callable[[Array], bool],
     most: int = MAX_STEPS,
-    known: float = np.nan,
+    earlier_cost: float = np.nan,
     target: float = np.inf,
     best: Array | None = None,
     damping: float = FIRST_DAMPING,
@@ -80,7 +80,7 @@ def levenberg_marquardt(
     stops if rounding prevents further progress, or after `most` steps. A trial step that ends
     outside the admissible set is halved until it ends inside.
 
-    `known` is the cost of a minimum found earlier. If the search is near this cost and the
+    `earlier_cost` is the cost of a minimum found earlier. If the search is near this cost and the
     predicted decrease is small, the search stops to save time. The search also stops if the
     gradient is so small that a cost below `target` is out of reach. It also stops if an undamped
     step leads to `best`, a minimum found earlier. `damping` is that of the first step.
@@ -102,20 +102,20 @@ def levenberg_marquardt(
     if theta.size == 0 or cost == 0:
         return Optimum(theta=theta, cost=cost, iterations=0, converged=True)
     growth = 2.0
-    whole: _Linear | None = None  # J at theta, once a step needs it
+    linear: _Linear | None = None  # J at theta, once a step needs it
     touches, change = walls, np.inf
     iterations = 0
     while iterations < most:
         iterations += 1
-        if whole is None:
-            whole, scale = _compressed(e, J, error)
+        if linear is None:
+            linear, scale = _compress(e, J, error)
             normals = _normals(touches, theta, scale)
-        s, Vt, z = _along(normals, *whole, damping)
+        s, Vt, z = _along(normals, *linear, damping)
         predicted = float(z @ z)
         reach = 1.0 if cost <= target * (1 + _NEAR_TARGET) else _REACH
         if cost - reach * predicted > target:
             break
-        if best is not None and _leads_to(scale * (best - theta), whole, (s, Vt, z)):
+        if best is not None and _leads_to(scale * (best - theta), linear, (s, Vt, z)):
             break
         if change <= tolerance and sqrt(predicted / cost) <= tolerance:
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
@@ -123,11 +123,11 @@ def levenberg_marquardt(
         step = (Vt.T @ along) / scale
         promised = float(along @ (s * z + damping * along))
         if (
-            abs(cost - known) <= _SAME_COST_TOLERANCE * known
+            abs(cost - earlier_cost) <= _SAME_COST_TOLERANCE * earlier_cost
             and promised <= _SAME_COST_TOLERANCE * cost
         ):
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
-        step, share, inside = _admitted(step, theta, admissible, walls)
+        step, share, inside = _admissible_step(step, theta, admissible, walls)
         promised *= 1 - (1 - share) ** 2
         trial_e, trial_J = linearise(theta + step)
         trial_cost = float(trial_e @ trial_e)
@@ -137,18 +137,18 @@ def levenberg_marquardt(
             theta, cost = theta + step, trial_cost
             if cost == 0:
                 return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
-            e, J, whole, touches = trial_e, trial_J, None, None if inside else walls
+            e, J, linear, touches = trial_e, trial_J, None, None if inside else walls
             damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3) if ratio < 1 else 1 / 10
             growth = 2.0
         elif promised <= _MIN_DECREASE * cost:
             # The change of the cost is now rounding, but the gradient still shows progress. If the
             # search stopped here, theta would be off by about sqrt(1e-13 N) standard deviations.
-            ends = _compressed(trial_e, trial_J, error)
+            ends = _compress(trial_e, trial_J, error)
             falls = np.linalg.norm(ends[0][2]) < _GRADIENT_FALL * np.linalg.norm(z)
-            if z is not whole[2] or not falls:
+            if z is not linear[2] or not falls:
                 return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
             theta, cost, change = theta + step, trial_cost, 0.0
-            whole, scale = ends
+            linear, scale = ends
             normals = _normals(walls, theta, scale)
         else:
             # A damping below the least squared singular value hardly changes the step. Only the
@@ -163,23 +163,23 @@ def levenberg_marquardt(
 _Linear = tuple[Array, Array, Array]
 
 
-def _leads_to(way: Array, whole: _Linear, along: _Linear) -> bool:
+def _leads_to(way: Array, linear: _Linear, along: _Linear) -> bool:
     """Return whether an undamped step, maybe along walls, leads to theta + `way` / scale."""
-    (S, V, _), (s, Vt, z) = whole, along
+    (S, V, _), (s, Vt, z) = linear, along
     step = Vt.T @ np.divide(z, s, where=s > 0, out=np.zeros(s.size))
     off = S * (V @ (way - step))
     return bool(off @ off <= _MISS_SHARE**2 * (z @ z))
 
 
-def _admitted(
+def _admissible_step(
     step: Array, theta: Array, admissible: Callable[[Array], bool], walls: Walls | None
 ) -> tuple[Array, float, bool]:
     """Return an admissible step, its factor after halvings, and whether its end touches no wall."""
     if walls is not None:
-        whole = theta + step
-        end = walls.inside(whole, theta)
+        trial = theta + step
+        end = walls.inside(trial, theta)
         step = end - theta
-        if end is whole:
+        if end is trial:
             return step, 1.0, True
     halvings = 0
     while not admissible(theta + step) and halvings < MAX_HALVINGS:
@@ -208,14 +208,14 @@ def _along(normals: Array, s: Array, Vt: Array, z: Array, damping: float) -> _Li
         Vt, z = along @ free, (U.T @ Z) * (s > 0)
 
 
-def _compressed(e: Array, J: Jacobian, error: float) -> tuple[_Linear, Array]:
+def _compress(e: Array, J: Jacobian, error: float) -> tuple[_Linear, Array]:
     """Return (s, V^T, U^T Q^T e) and the scale (n,), with J / scale = Q R and R = U s V^T."""
     J = J() if callable(J) else J
     # e is the last column, so that R contains Q^T e and Q itself is not needed.
     n = J.shape[1]
-    whole = np.empty((e.size, n + 1), order="F")
-    whole[:, :n], whole[:, n] = J, e
-    R = dgeqrf(whole, overwrite_a=True)[0][:n]
+    augmented = np.empty((e.size, n + 1), order="F")
+    augmented[:, :n], augmented[:, n] = J, e
+    R = dgeqrf(augmented, overwrite_a=True)[0][:n]
     R = R * upper_ones(*R.shape)
     scale = column_norms(R[:, :n])
     scale[scale == 0] = 1.0

@@ -78,7 +78,7 @@ class MissingSamples:
     def log_det_gradient(self) -> Array:
         """Return the derivatives of `log_det` with respect to the responses, (L, ny, ny)."""
         (L, ny, _), (t, i) = self.H.shape, self.at
-        inverse, found = _inverse_band(self.band), np.zeros(self.H.shape)
+        inverse, gradient = _inverse_band(self.band), np.zeros(self.H.shape)
         late = int(np.searchsorted(t, self.N - L, side="right"))  # with responses that end early
         sums = np.zeros((L, ny, ny))
         for k, row in enumerate(inverse[:, : t.size]):
@@ -89,20 +89,20 @@ class MissingSamples:
             share = row[ends] * (1 if k == 0 else 2)
             np.add.at(sums, (lag, i[ends], i[ends + k]), share)
         for a, j, p in np.ndindex(ny, ny, ny):  # R_k[j, p] = sum of H_(m+k)[a, j] H_m[a, p]
-            found[:, a, j] += np.convolve(sums[:, j, p], self.H[:, a, p])[:L]
-            found[:, a, p] += np.correlate(self.H[:, a, j], sums[:, j, p], "full")[L - 1 :]
+            gradient[:, a, j] += np.convolve(sums[:, j, p], self.H[:, a, p])[:L]
+            gradient[:, a, p] += np.correlate(self.H[:, a, j], sums[:, j, p], "full")[L - 1 :]
         if late < t.size:
-            own = t.size - late
-            part = np.zeros((own, own))
-            for k in range(min(len(inverse), own)):
-                row = np.arange(own - k)
+            count = t.size - late
+            part = np.zeros((count, count))
+            for k in range(min(len(inverse), count)):
+                row = np.arange(count - k)
                 part[row + k, row] = part[row, row + k] = inverse[k, late : t.size - k]
             T = _late_columns(self.H, t[late:], i[late:], self.N)
-            slope = 2 * np.tensordot(T, part, axes=1)  # (rows, ny, own)
+            slope = 2 * np.tensordot(T, part, axes=1)  # (rows, ny, count)
             first = self.N - len(T)
-            for column, (begin, of) in enumerate(zip(t[late:] - first, i[late:], strict=True)):
-                found[: len(T) - begin, :, of] += slope[begin:, :, column]
-        return found
+            for column, (begin, output) in enumerate(zip(t[late:] - first, i[late:], strict=True)):
+                gradient[: len(T) - begin, :, output] += slope[begin:, :, column]
+        return gradient
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -163,9 +163,9 @@ def _late_columns(H: Array, t: NDArray[np.int_], i: NDArray[np.int_], N: int) ->
     """Return the last rows of the columns of T (rows, ny, m) of some last missing samples."""
     first = int(t[0])
     T = np.zeros((N - first, H.shape[1], t.size))
-    for column, (begin, of) in enumerate(zip(t - first, i, strict=True)):
+    for column, (begin, output) in enumerate(zip(t - first, i, strict=True)):
         rows = min(len(H), N - first - begin)
-        T[begin : begin + rows, :, column] = H[:rows, :, of]
+        T[begin : begin + rows, :, column] = H[:rows, :, output]
     return T
 
 
@@ -178,24 +178,24 @@ def _inverse_band(factor: Array) -> Array:
     width, m = len(factor) - 1, factor.shape[1]
     size = max(width, _MIN_BLOCK)
     count = -(-m // size)
-    whole = np.zeros((size + 1, count * size))
-    whole[: width + 1, :m] = factor
-    whole[0, m:] = 1.0
-    each = whole.reshape(size + 1, count, size)
+    padded = np.zeros((size + 1, count * size))
+    padded[: width + 1, :m] = factor
+    padded[0, m:] = 1.0
+    each = padded.reshape(size + 1, count, size)
     r, c = np.tril_indices(size)
-    own, below = np.zeros((2, count, size, size))
-    own[:, r, c] = each[r - c, :, c].T
+    triangles, below = np.zeros((2, count, size, size))
+    triangles[:, r, c] = each[r - c, :, c].T
     r, c = np.triu_indices(size)
     below[:, r, c] = each[size + r - c, :, c].T
-    inverse = np.linalg.inv(own)
+    inverse = np.linalg.inv(triangles)
     M = below @ inverse
     diagonal, beside = inverse.swapaxes(1, 2) @ inverse, np.zeros_like(M)
     for b in range(count - 2, -1, -1):
         beside[b] = -diagonal[b + 1] @ M[b]
         diagonal[b] -= M[b].T @ beside[b]
-    found = np.zeros_like(each)
+    band = np.zeros_like(each)
     r, c = np.tril_indices(size)
-    found[r - c, :, c] = diagonal[:, r, c].T
+    band[r - c, :, c] = diagonal[:, r, c].T
     r, c = np.triu_indices(size)
-    found[size + r - c, :, c] = beside[:, r, c].T
-    return found.reshape(size + 1, -1)[: width + 1, :m]
+    band[size + r - c, :, c] = beside[:, r, c].T
+    return band.reshape(size + 1, -1)[: width + 1, :m]

@@ -34,7 +34,7 @@ def monic(coefficients: Array) -> Array:
     return p
 
 
-def filtered(numerator: ArrayLike, denominator: ArrayLike, x: Array) -> Array:
+def apply_filter(numerator: ArrayLike, denominator: ArrayLike, x: Array) -> Array:
     """Return x (N,) filtered by numerator/denominator, from rest."""
     import scipy.signal
 
@@ -43,25 +43,25 @@ def filtered(numerator: ArrayLike, denominator: ArrayLike, x: Array) -> Array:
     return np.asarray(scipy.signal.lfilter(numerator, denominator, x))
 
 
-def continued(A: Array, B: Array, u: Array, y: Array) -> Array:
+def continue_output(A: Array, B: Array, u: Array, y: Array) -> Array:
     """Return the course of A x = sum of B_j u_j (N,) that begins like y; an infinite x is 0."""
     from scipy.signal import lfilter, lfiltic
 
     first = np.nan_to_num(y[: A.size - 1])
-    drive = np.sum([filtered(b, [1.0], v) for b, v in zip(B, u.T, strict=True)], axis=0)
+    drive = np.sum([apply_filter(b, [1.0], v) for b, v in zip(B, u.T, strict=True)], axis=0)
     with np.errstate(over="ignore", invalid="ignore"):  # the model may be unstable
-        rest, _ = lfilter([1.0], A, drive[first.size :], zi=lfiltic([1.0], A, first[::-1]))
-    return np.asarray(np.nan_to_num(np.concatenate([first, rest]), posinf=0.0, neginf=0.0))
+        later, _ = lfilter([1.0], A, drive[first.size :], zi=lfiltic([1.0], A, first[::-1]))
+    return np.asarray(np.nan_to_num(np.concatenate([first, later]), posinf=0.0, neginf=0.0))
 
 
 def impulse(denominator: ArrayLike, N: int) -> Array:
     """Return the first N samples of the impulse response of 1/denominator."""
     pulse = np.zeros(N)
     pulse[0] = 1.0
-    return filtered([1.0], denominator, pulse)
+    return apply_filter([1.0], denominator, pulse)
 
 
-def lagged(x: Array, lags: Sequence[int]) -> Array:
+def lag_columns(x: Array, lags: Sequence[int]) -> Array:
     """Return an array (N, len(lags)) with q^-lags[j] x in column j, 0 before the first sample."""
     columns = np.zeros((x.size, len(lags)), dtype=x.dtype, order="F")
     for j, lag in enumerate(lags):
@@ -115,7 +115,7 @@ def stable(p: ArrayLike, radius: float = 1.0) -> bool:
     return True
 
 
-def reflected(p: ArrayLike, radius: float = 0.999) -> Array:
+def reflect_roots(p: ArrayLike, radius: float = 0.999) -> Array:
     """Return p with each root z outside the unit circle moved to its reflection 1/z*.
 
     A root that was on or outside the circle may still have a modulus above `radius` after the
@@ -128,7 +128,7 @@ def reflected(p: ArrayLike, radius: float = 0.999) -> Array:
 
 
 def with_roots_inside(z: Array, radius: float = 0.999) -> Array:
-    """Return the polynomial with the roots z (n,), moved inside the circle as in `reflected`."""
+    """Return the polynomial with the roots z (n,), moved inside as in `reflect_roots`."""
     magnitude = np.abs(z)
     inside = np.where(magnitude > 1.0, 1.0 / np.maximum(magnitude, 1.0), magnitude)
     shrink = np.minimum(inside, radius) / np.where(magnitude > 0, magnitude, 1.0)
@@ -143,7 +143,7 @@ def of_roots(z: Array) -> Array:
     return np.real(p)
 
 
-def reduced(p: ArrayLike) -> Iterator[Array]:
+def reduce_order(p: ArrayLike) -> Iterator[Array]:
     """Yield the monic polynomials of order n - 1 whose modes are nearest to the modes of p.
 
     p (n + 1,) is real, n >= 1. Each polynomial either omits one real root of p, or has one real
@@ -151,10 +151,10 @@ def reduced(p: ArrayLike) -> Iterator[Array]:
     """
     z = roots(p)
     for i in np.flatnonzero(z.imag >= 0):
-        rest = np.delete(z, i)
+        kept = np.delete(z, i)
         if z[i].imag > 0:
-            rest[np.argmin(np.abs(rest - np.conj(z[i])))] = np.copysign(np.abs(z[i]), z[i].real)
-        yield of_roots(rest)
+            kept[np.argmin(np.abs(kept - np.conj(z[i])))] = np.copysign(np.abs(z[i]), z[i].real)
+        yield of_roots(kept)
 
 
 EDGE_MODULUS = 1 - 1e-7
@@ -167,7 +167,7 @@ _MIN_LEFT_SHARE = 0.1  # share of the distance to the circle that remains after 
 _PAIR_ANGLE = 1e-3  # angle, in rad, of the pair that replaces two real roots at the edge
 
 
-def drawn_to_edge(p: Array, previous: Array) -> Array:
+def move_to_edge(p: Array, previous: Array) -> Array:
     """Return p with each root outside the unit circle moved radially into the circle.
 
     A step covers at most nine tenths of the distance from the outermost root of `previous` to the
@@ -232,9 +232,9 @@ def outward_normals(p: Array) -> Array:
 
 def by_numerator(u: Array, P: Array, lags: Sequence[int]) -> Array:
     """Return the derivatives of B/P u with respect to the b at `lags`, (N, len(lags))."""
-    return lagged(filtered([1.0], P, u), lags)
+    return lag_columns(apply_filter([1.0], P, u), lags)
 
 
 def by_denominator(y: Array, P: Array, n: int) -> Array:
     """Return the derivatives of y = B/P u with respect to p_1 … p_n, (N, n)."""
-    return -lagged(filtered([1.0], P, y), range(1, n + 1))
+    return -lag_columns(apply_filter([1.0], P, y), range(1, n + 1))

@@ -35,17 +35,17 @@ def power_spectrum(signals: Iterable[Vector], Ts: float) -> tuple[Vector, Vector
     """
     from scipy.signal import welch
 
-    whole = [signal[s] for signal in signals for s in stretches(np.isfinite(signal))]
-    longest = max((x.size for x in whole), default=0)
+    pieces = [signal[s] for signal in signals for s in stretches(np.isfinite(signal))]
+    longest = max((x.size for x in pieces), default=0)
     if longest < _MIN_SEGMENT_SAMPLES:
         raise InputError(
             f"the longest stretch without a gap has {plural(longest, 'sample')}; a spectrum needs "
             f"{_MIN_SEGMENT_SAMPLES}"
         )
-    total = sum(x.size for x in whole)
+    total = sum(x.size for x in pieces)
     L = min(max(total // _SEGMENTS, _MIN_SEGMENT_SAMPLES), _MAX_SEGMENT_SAMPLES, longest)
     omega, density, weight = np.zeros(0), np.zeros(L // 2 + 1), 0
-    for x in whole:
+    for x in pieces:
         if x.size >= L:
             f, P = welch(x, fs=1 / Ts, nperseg=L, detrend="constant")
             segments = 1 + (x.size - L) // (L - L // 2)

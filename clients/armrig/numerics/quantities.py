@@ -47,7 +47,7 @@ def near_one(value: float, std: float) -> str:
     return f"{value:.{min(decimals, _MAX_DECIMALS_NEAR_1)}f} ± {std:.1e}"
 
 
-def scaled(value: float, std: float, unit: str) -> str:
+def with_unit(value: float, std: float, unit: str) -> str:
     """Return `value ± std` with a power of ten and a unit: (1.6989 ± 0.0016)·10⁻³ m."""
     exponent = floor(log10(abs(value))) if value and isfinite(value) else 0
     if -3 < exponent < 4:
@@ -55,7 +55,7 @@ def scaled(value: float, std: float, unit: str) -> str:
     # Only exponents divisible by three, because these have SI prefixes.
     exponent = 3 * floor(exponent / 3)
     text = with_std(value / 10.0**exponent, std / 10.0**exponent)
-    return f"({minus(text)})·10{raised(exponent)}{NBSP}{unit}".rstrip()
+    return f"({minus(text)})·10{superscript(exponent)}{NBSP}{unit}".rstrip()
 
 
 def with_range(value: float, low: float, high: float) -> str:
@@ -64,7 +64,7 @@ def with_range(value: float, low: float, high: float) -> str:
     return f"{value:.{decimals}f} ({low:.{decimals}f} … {high:.{decimals}f})"
 
 
-def fixed(value: float, decimals: int) -> str:
+def with_decimals(value: float, decimals: int) -> str:
     """Return a number with a fixed number of decimals, at most 12."""
     return minus(f"{value:.{min(decimals, 12)}f}")
 
@@ -89,10 +89,10 @@ def power(x: float) -> str:
     if not 0 < abs(x) < 1e-3:
         return number(x)
     exponent = floor(log10(abs(x)))
-    return f"{minus(f'{x / 10.0**exponent:.2f}')}·10{raised(exponent)}"
+    return f"{minus(f'{x / 10.0**exponent:.2f}')}·10{superscript(exponent)}"
 
 
-def raised(exponent: int) -> str:
+def superscript(exponent: int) -> str:
     """Return an exponent in superscript digits."""
     return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
@@ -138,7 +138,7 @@ def times(*seconds: float) -> str:
     return f"{' … '.join(digits(x / scale, 3) for x in seconds)} {unit}"
 
 
-def listed(names: Sequence[str]) -> str:
+def join_names(names: Sequence[str]) -> str:
     """Return names as a list in a sentence: a, b and c."""
     *most, last = names
     return f"{', '.join(most)} and {last}" if most else last

@@ -6,7 +6,7 @@ from math import isqrt
 
 import numpy as np
 
-from armrig.numerics.polynomial import Array, filtered, impulse, lagged
+from armrig.numerics.polynomial import Array, apply_filter, impulse, lag_columns
 
 _SETTLED_SHARE = 1e-18  # share of the largest value below which an impulse response is 0
 _MAX_CONDITION = 1e5  # largest condition number of the eigenvectors for a sum over modes
@@ -99,7 +99,7 @@ def outputs(Phi: Array, C: Array, w: Array, x0: Array) -> Array:
     for k in range(len(Phi)):
         total[k : k + 1] += x0[k]
         total[k + 1 :] += w[: total.size - k - 1, k]
-    return filtered([1.0], np.append(1.0, -Phi[:, 0]), total)[:, None]
+    return apply_filter([1.0], np.append(1.0, -Phi[:, 0]), total)[:, None]
 
 
 def free_responses(Phi: Array, C: Array, N: int) -> Array:
@@ -114,7 +114,7 @@ def free_responses(Phi: Array, C: Array, N: int) -> Array:
         size = np.abs(h)
         settled = np.argmax(size[::-1] > _SETTLED_SHARE * size.max())
         h[N - settled :] = 0.0
-        return lagged(h, range(n)).T[:, None]
+        return lag_columns(h, range(n)).T[:, None]
     length = isqrt(N) + 1
     powers = np.empty((length + 1, n, n))
     powers[0] = np.eye(n)
@@ -125,9 +125,9 @@ def free_responses(Phi: Array, C: Array, N: int) -> Array:
             powers[k + 1] = powers[k] @ Phi
         for j in range(length - 1):
             late[j + 1] = late[j] @ powers[length]
-        found = late.reshape(-1, n) @ powers[:length].transpose(1, 0, 2).reshape(n, -1)
+        products = late.reshape(-1, n) @ powers[:length].transpose(1, 0, 2).reshape(n, -1)
     shape = (length, C.shape[0], length, n)
-    return found.reshape(shape).transpose(3, 1, 0, 2).reshape(n, -1, length**2)[:, :, :N]
+    return products.reshape(shape).transpose(3, 1, 0, 2).reshape(n, -1, length**2)[:, :, :N]
 
 
 def outputs_from_rest(Phi: Array, C: Array, w: Array) -> Array:
@@ -138,15 +138,15 @@ def outputs_from_rest(Phi: Array, C: Array, w: Array) -> Array:
     z, V = np.linalg.eig(Phi)
     if np.linalg.cond(V) > _MAX_CONDITION:
         return np.asarray(recursion(Phi, w, np.zeros(w.shape[1:]))[:-1] @ C.T)
-    found, to_modes, from_modes = 0.0, np.linalg.inv(V), C @ V
+    response, to_modes, from_modes = 0.0, np.linalg.inv(V), C @ V
     for i in np.flatnonzero(z.imag >= 0):
         pair = z[i].imag > 0
         along, pole, by = to_modes[i], z[i], from_modes[:, i] * (1 + pair)
         if not pair:
             along, pole, by = along.real, pole.real, by.real
-        mode = filtered([0.0, 1.0], [1.0, -pole], np.ascontiguousarray((w @ along).T))
-        found = found + np.real(mode.T[:, :, None] * by)
-    return np.asarray(found)
+        mode = apply_filter([0.0, 1.0], [1.0, -pole], np.ascontiguousarray((w @ along).T))
+        response = response + np.real(mode.T[:, :, None] * by)
+    return np.asarray(response)
 
 
 def responses(Phi: Array, C: Array, signals: Array) -> Array:
@@ -158,11 +158,11 @@ def responses(Phi: Array, C: Array, signals: Array) -> Array:
     """
     (N, m), (ny, n) = signals.shape, C.shape
     if in_observer_form(Phi, C):
-        each = filtered([1.0], np.append(1.0, -Phi[:, 0]), signals.T)
-        found = np.zeros((m, n, 1, N))
+        each = apply_filter([1.0], np.append(1.0, -Phi[:, 0]), signals.T)
+        response = np.zeros((m, n, 1, N))
         for k in range(min(n, N - 1)):
-            found[:, k, 0, k + 1 :] = each[:, : N - k - 1]
-        return found
+            response[:, k, 0, k + 1 :] = each[:, : N - k - 1]
+        return response
     z, V = np.linalg.eig(Phi)
     if np.linalg.cond(V) > _MAX_CONDITION:
         driven = np.zeros((N, m, n, n))
@@ -175,7 +175,7 @@ def responses(Phi: Array, C: Array, signals: Array) -> Array:
     modes = np.empty((m, 2 * kept.size, N))  # real parts, then imaginary parts
     for k, i in enumerate(kept):
         pole = z[i] if z[i].imag else z[i].real
-        mode = filtered([0.0, 1.0], [1.0, -pole], each)
+        mode = apply_filter([0.0, 1.0], [1.0, -pole], each)
         modes[:, k], modes[:, kept.size + k] = mode.real, mode.imag
     parts = (C @ V[:, kept] * twice)[:, :, None] * np.linalg.inv(V)[kept]  # (ny, modes, n)
     weights = parts.transpose(2, 0, 1).reshape(n * ny, kept.size)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.numerics.least_squares import Basis, cholesky_factor, orthonormal, triangle
-from armrig.numerics.polynomial import Array, lagged, monic
+from armrig.numerics.polynomial import Array, lag_columns, monic
 from armrig.numerics.rounding import SHARE, rounding_std
 from armrig.numerics.stretches import Mask
 
@@ -40,7 +40,7 @@ class ArxRows:
 
 def past(x: Array, lags: Sequence[int]) -> Array:
     """Return an array (N, len(lags)) with x(t - lags[j]) in column j, NaN if t < lags[j]."""
-    columns = lagged(np.asarray(x, dtype=np.float64), lags)
+    columns = lag_columns(np.asarray(x, dtype=np.float64), lags)
     for j, lag in enumerate(lags):
         columns[:lag, j] = np.nan
     return columns
@@ -48,8 +48,8 @@ def past(x: Array, lags: Sequence[int]) -> Array:
 
 def complete(*columns: Array) -> Mask:
     """Return a mask (N,) of the rows in which all columns, each (N,) or (N, k), are known."""
-    known = [np.isfinite(c) if c.ndim == 1 else np.isfinite(c).all(axis=1) for c in columns]
-    return np.asarray(np.logical_and.reduce(known))
+    masks = [np.isfinite(c) if c.ndim == 1 else np.isfinite(c).all(axis=1) for c in columns]
+    return np.asarray(np.logical_and.reduce(masks))
 
 
 def arx_rows(u: Array, y: Array, *, na: int, lags: Sequence[int]) -> ArxRows:
@@ -83,12 +83,12 @@ class LongArx:
         B = theta[p : p + self.nu * n].reshape(self.nu, n)
         return monic(theta[:p]), np.pad(B, ((0, 0), (first, 0)))
 
-    def extended(self, y: Array, terms: Array) -> tuple[float, float, float, Array]:
+    def with_terms(self, y: Array, terms: Array) -> tuple[float, float, float, Array]:
         """Return BIC, A(1), B_1(1) and c of A y = c_0 + sum of B_j u_j + terms c + e."""
-        own, k = orthonormal(self.errors(terms)), terms.shape[1]
+        basis, k = orthonormal(self.errors(terms)), terms.shape[1]
         e = self.errors(y)
-        c = own.coefficients(e)
-        loss, n = float(np.sum(own.without(e) ** 2)), e.size
+        c = basis.coefficients(e)
+        loss, n = float(np.sum(basis.without(e) ** 2)), e.size
         A, B = self.polynomials(y - terms @ c)
         return n * log(max(loss, 1e-300)) + k * log(n), float(np.sum(A)), float(np.sum(B[0])), c
 
@@ -105,10 +105,10 @@ def long_arx(parts: Sequence[tuple[Array, Array]], p: int, first: int) -> LongAr
         for begin in range(0, y.size, skip * length):
             lead = min(p, begin)
             piece = slice(begin - lead, begin + length)
-            of = arx_rows(u[piece], y[piece], na=p, lags=range(first, p + 1))
-            usable = of.usable[lead:]
+            equations = arx_rows(u[piece], y[piece], na=p, lags=range(first, p + 1))
+            usable = equations.usable[lead:]
             rows[begin : begin + usable.size] = usable
-            Phi = of.Phi[lead:][usable]
+            Phi = equations.Phi[lead:][usable]
             blocks.append(np.hstack([Phi, np.tile(constant, (Phi.shape[0], 1))]))
         used.append(rows)
     nu = parts[0][0].size // parts[0][1].size
@@ -252,5 +252,5 @@ def _all_blocks(parts: Sequence[tuple[Array, Array]], n: int, slope: bool) -> It
             block[:, n : n + us.shape[1]], block[:, -1] = us, ys[:, 0]
             if slope:
                 block[:, -2] = t[:, 0]
-            known = complete(ys)
-            yield block if known.all() else block[known]
+            measured = complete(ys)
+            yield block if measured.all() else block[measured]

@@ -96,8 +96,8 @@ def lag_of_angle(
     their duration in s. `rounding` is the quantisation step of the converter, in the unit of y; the
     mean of the quantisation error need not be zero.
     """
-    known = np.isfinite(y)
-    t, y, n = t[known], y[known], int(np.count_nonzero(known))
+    measured = np.isfinite(y)
+    t, y, n = t[measured], y[measured], int(np.count_nonzero(measured))
     if n < _MIN_LINE_SAMPLES:
         return float("nan"), float("nan")
     lag = ramp_lag(t, y)
@@ -117,9 +117,9 @@ def area_above(t: Vector, y: Vector, std: float, gain_std: float) -> tuple[float
     response has settled; NaN if missing. `std` and `gain_std` are the standard deviations of a
     sample and of the final value, both divided by the final value.
     """
-    known = np.isfinite(y)
-    t, y = t[known], y[known]
+    measured = np.isfinite(y)
+    t, y = t[measured], y[measured]
     area = float(np.trapezoid(1 - y, t))
     widths = np.gradient(t) if t.size > 1 else np.zeros(t.size)
-    own = std * float(np.linalg.norm(widths))
-    return area, float(np.hypot(own, gain_std * (t[-1] - t[0])))
+    area_std = std * float(np.linalg.norm(widths))
+    return area, float(np.hypot(area_std, gain_std * (t[-1] - t[0])))

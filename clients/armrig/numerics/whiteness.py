@@ -72,7 +72,7 @@ class Whiteness:
 NOT_TESTED = Whiteness(p_value=float("nan"), test="")
 
 
-def joined(parts: Iterable[Vector], gap: int) -> Vector:
+def join_residuals(parts: Iterable[Vector], gap: int) -> Vector:
     """Return the residuals of all experiments as one signal, with `gap` NaNs after each."""
     pieces = [np.concatenate([part, np.full(gap, np.nan)]) for part in parts]
     return np.concatenate(pieces)
@@ -138,16 +138,16 @@ def autoregression(
     if sum(float(np.nansum(e**2)) for e in residuals) <= N * least**2:
         return np.ones(1), least**2
     highest = min(int(10 * log10(max(N, 10))), N // 10)
-    e = joined(residuals, 1)[:-1]
-    known = np.isfinite(e)  # a value that depends on a missing sample is 0
-    ahead = behind = np.where(known, e, 0.0)
-    whole = np.convolve(known, np.ones(highest + 1, dtype=int), "valid") > highest
-    burg = N <= _MAX_BURG and 2 * np.count_nonzero(whole) >= N
-    R, pairs = autocovariance(joined(residuals, highest), 0 if burg else highest)
+    e = join_residuals(residuals, 1)[:-1]
+    measured = np.isfinite(e)  # a value that depends on a missing sample is 0
+    ahead = behind = np.where(measured, e, 0.0)
+    full_windows = np.convolve(measured, np.ones(highest + 1, dtype=int), "valid") > highest
+    burg = N <= _MAX_BURG and 2 * np.count_nonzero(full_windows) >= N
+    R, pairs = autocovariance(join_residuals(residuals, highest), 0 if burg else highest)
     # A correlation of few pairs varies more, so that N counts less in the criterion.
     each = np.array([int(np.count_nonzero(np.isfinite(e))) for e in residuals])
     lags = np.array([highest]) if burg else np.arange(1, highest + 1)
-    pairs = np.array([np.count_nonzero(whole)]) if burg else pairs[1:]
+    pairs = np.array([np.count_nonzero(full_windows)]) if burg else pairs[1:]
     possible = np.maximum(each - lags[:, None], 0).sum(axis=1)
     n = int(N * min(np.min(pairs / np.maximum(possible, 1), initial=1.0), 1.0))
     highest = min(highest, n // 10)
@@ -159,8 +159,8 @@ def autoregression(
         if burg:
             ahead, behind = ahead[1:], behind[:-1]
             if e.size > N:
-                known = known[1:] & known[:-1]
-                ahead, behind = ahead * known, behind * known
+                measured = measured[1:] & measured[:-1]
+                ahead, behind = ahead * measured, behind * measured
             power = float(ahead @ ahead + behind @ behind)
             reflection = -2 * float(ahead @ behind) / max(power, 1e-300)
             ahead, behind = ahead + reflection * behind, behind + reflection * ahead
@@ -239,7 +239,7 @@ def portmanteau(
     .. [2] G. M. Ljung, G. E. P. Box, Biometrika 65 (1978) 297-303.
     """
     N = sum(int(np.count_nonzero(np.isfinite(part))) for part in residuals)
-    R, pairs = autocovariance(joined(residuals, lags), lags)
+    R, pairs = autocovariance(join_residuals(residuals, lags), lags)
     d = sum(s.shape[1] for s in spans)
     if lags + d + blocks[0].shape[1] >= N or R[0] == 0:
         return NOT_TESTED
@@ -265,10 +265,10 @@ def portmanteau(
     M -= R[0] * by_fitted @ by_fitted.T
     if theta_covariance is not None:
         M += by_theta @ theta_covariance @ by_theta.T
-    return decided(pairs[1:] * R[1:] - m, M, V, N)
+    return whiteness_of_sums(pairs[1:] * R[1:] - m, M, V, N)
 
 
-def decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
+def whiteness_of_sums(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
     """Return the test of the sums s with weights M^-1, or 1/V if M is nearly indefinite."""
     used = V > 0
     z = s[used] / np.sqrt(V[used])

@@ -14,8 +14,8 @@ from armrig_core.rig.calibration import (
     THETA_1,
     Calibration,
     Driver,
-    Figure,
     Made,
+    MeasuredValue,
     Potentiometer,
 )
 from armrig_core.rig.volts import U_MAX_V
@@ -59,16 +59,16 @@ HAND_RAD = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Estimate:
+class CalibrationEstimate:
     """Estimated calibration; None for values that the recordings do not determine."""
 
-    theta_1_zero: Figure
+    theta_1_zero: MeasuredValue
     """Reading of the chassis at rest, which defines theta_1 = 0, in counts."""
-    theta_1_noise: Figure
+    theta_1_noise: MeasuredValue
     """Standard deviation of theta_1's readings at rest, in counts."""
-    alpha_zero: Figure
+    alpha_zero: MeasuredValue
     """Reading of the arm at rest, which defines alpha = 0, in counts."""
-    alpha_noise: Figure
+    alpha_noise: MeasuredValue
     """Standard deviation of alpha's readings at rest, in counts."""
     alpha_sign: int
     """Sign of alpha's rad per count; 0 if no deflection was seen."""
@@ -84,23 +84,23 @@ class Estimate:
     """Warnings about the calibration, one sentence each."""
 
     @property
-    def rad_per_count(self) -> Figure | None:
+    def rad_per_count(self) -> MeasuredValue | None:
         """Angle of one count of theta_1, in rad."""
         if self.turned is None:
             return None
         d = self.turned.per_turn
         size = tau / d.value
-        return Figure(value=self.turned.direction * size, std=size * d.std / d.value)
+        return MeasuredValue(value=self.turned.direction * size, std=size * d.std / d.value)
 
     @property
-    def dead_band(self) -> Figure | None:
+    def dead_band(self) -> MeasuredValue | None:
         """Angle of the dead band of theta_1, in rad."""
         if self.turned is None:
             return None
         low, high, d = self.turned.low, self.turned.high, self.turned.per_turn
         share = (high.value - low.value) / d.value
         std = hypot(low.std, high.std, share * d.std) / d.value
-        return Figure(value=tau * (1 - share), std=tau * std)
+        return MeasuredValue(value=tau * (1 - share), std=tau * std)
 
     def plot(self, turns: Recording | Readings, *, ax: Axes | None = None) -> Drawing:
         """Return a figure of the turns: see `armrig.plots.plot_calibration`."""
@@ -109,16 +109,16 @@ class Estimate:
 
         return figure_of(plot_calibration(self, turns, ax=ax))
 
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> dict[str, MeasuredValue]:
         """Return the measured values, with standard deviations, by names that contain the unit."""
-        found: dict[str, Figure | None] = {
+        found: dict[str, MeasuredValue | None] = {
             "theta_1_zero_counts": self.theta_1_zero,
             "theta_1_noise_counts": self.theta_1_noise,
             "theta_1_rad_per_count": self.rad_per_count,
             "theta_1_dead_band_rad": self.dead_band,
             "alpha_zero_counts": self.alpha_zero,
             "alpha_noise_counts": self.alpha_noise,
-            "resolution_counts": Figure(value=float(self.resolution), std=0.0),
+            "resolution_counts": MeasuredValue(value=float(self.resolution), std=0.0),
         }
         if self.turned is not None:
             found["theta_1_low_counts"] = self.turned.low
@@ -166,7 +166,7 @@ def estimate(
     meter: Sequence[tuple[float, float]] = (),
     meter_std_v: float = 0.01,
     base: Calibration | None = None,
-) -> Estimate:
+) -> CalibrationEstimate:
     """Estimate a calibration from recordings of a rig, with standard deviations.
 
     Parameters
@@ -214,7 +214,7 @@ def estimate(
     if not sign and run is not None:
         sign = sign_of_lag(run, alpha.value, step)
     terminal = terminal_voltage(meter, meter_std_v)
-    return Estimate(
+    return CalibrationEstimate(
         theta_1_zero=mean_reading(still.first, step, noise_1),
         theta_1_noise=theta_1,
         alpha_zero=alpha_zero,
@@ -228,9 +228,9 @@ def estimate(
     )
 
 
-def _at_rest(rest: Recording | Readings) -> Readings:
+def _at_rest(source: Recording | Readings) -> Readings:
     """Return the readings at rest; refuse readings of a driven motor and readings at a rail."""
-    still = readings_of(rest)
+    still = readings_of(source)
     if (still.u != 0).any():
         raise InputError("the motor was driven in the recording at rest: all voltages must be 0 V")
     if still.N < 2:
@@ -262,26 +262,26 @@ def _overvoltage(terminal: TerminalVoltage | None) -> list[str]:
 
 
 def _warnings(
-    theta_1: Figure, alpha: Figure, step: int, turned: Turning | None, sign: int
+    theta_1: MeasuredValue, alpha: MeasuredValue, step: int, turned: Turning | None, sign: int
 ) -> list[str]:
-    found = [
+    warnings = [
         f"{name} moved in the recording at rest: the standard deviation of its readings is "
         f"{s.value:.0f} counts, {degrees(s.value * tau / 65536):.1f}°"
         for name, s in ((THETA_1, theta_1), (ALPHA, alpha))
         if s.value > _MAX_REST_STEPS * step
     ]
     if not sign:
-        found.append("no deflection of the arm was seen: alpha keeps the configured sign")
+        warnings.append("no deflection of the arm was seen: alpha keeps the configured sign")
     if turned is not None:
         expected = sqrt(theta_1.value**2 + rounding_variance(step, 0.0))
         off = sqrt(turned.residual_variance)
         if off > MAX_STEADY_RATIO * expected:
-            found.append(
+            warnings.append(
                 f"theta_1 deviates from a constant speed by {off:.0f} counts rms, and its "
                 f"noise explains {expected:.0f} counts: the angle of a count is less accurate than "
                 "its standard deviation indicates"
             )
-    return found
+    return warnings
 
 
 def sign_of_lag(readings: Readings, noise: float, step: float) -> int:
@@ -300,14 +300,15 @@ def sign_of_lag(readings: Readings, noise: float, step: float) -> int:
     return 0 if not seen.size else int(-np.sign(deflection[seen[0]]))
 
 
-def sign_by_hand(readings: Readings, rest: Figure, rad_per_count: float) -> int:
+def sign_by_hand(readings: Readings, rest_reading: MeasuredValue, rad_per_count: float) -> int:
     """Return the sign of alpha's rad per count; 0 if the arm was deflected by less than `HAND_RAD`.
 
-    In the run, a hand deflects the arm towards positive alpha, then holds or releases it. `rest` is
+    In the run, a hand deflects the arm towards positive alpha, then holds or releases it.
+    `rest_reading` is
     the reading of the arm at rest, in counts. The sign of the approximate `rad_per_count` is
     ignored.
     """
-    deflection = (readings.second - rest.value) * abs(rad_per_count)
+    deflection = (readings.second - rest_reading.value) * abs(rad_per_count)
     # If a hand holds the arm, one quartile is far from 0. A released arm swings to both sides.
     low, high = np.quantile(deflection, [0.25, 0.75])
     farthest = max(low, high, key=abs)

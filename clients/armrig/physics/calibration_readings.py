@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.errors import InputError
-from armrig_core.rig.calibration import Figure
+from armrig_core.rig.calibration import MeasuredValue
 from armrig_core.telemetry.channels import CHANNELS
 from numpy.typing import NDArray
 
@@ -48,9 +48,9 @@ class Readings:
         """Refuse empty columns, and columns of different lengths."""
         sizes = {column.size for column in (self.t, self.u, self.first, self.second)}
         if len(sizes) != 1 or 0 in sizes:
-            found = ", ".join(map(str, sorted(sizes)))
+            counts = ", ".join(map(str, sorted(sizes)))
             raise InputError(
-                f"columns of {found} samples: all four must have the same number, and at least 1"
+                f"columns of {counts} samples: all four must have the same number, and at least 1"
             )
 
     @property
@@ -75,7 +75,7 @@ def readings_of(source: Recording | Readings) -> Readings:
     )
 
 
-def compressed(sources: Mapping[str, Recording | Readings]) -> bytes:
+def compress_readings(sources: Mapping[str, Recording | Readings]) -> bytes:
     """Return the readings as a gzipped CSV; equal readings give equal bytes.
 
     Raises InputError if there are more than `MOST_ROWS` rows.
@@ -122,13 +122,13 @@ def rounding_variance(step: float, noise: float) -> float:
     return float(step**2 / (2 * pi**2) * terms.sum())
 
 
-def mean_reading(counts: Vector, step: float, noise: float) -> Figure:
+def mean_reading(counts: Vector, step: float, noise: float) -> MeasuredValue:
     """Return the mean of readings at rest; its standard deviation includes the rounding."""
     variance = np.var(counts, ddof=1) / counts.size + rounding_variance(step, noise)
-    return Figure(value=float(counts.mean()), std=sqrt(float(variance)))
+    return MeasuredValue(value=float(counts.mean()), std=sqrt(float(variance)))
 
 
-def spread(counts: Vector, step: float) -> Figure:
+def spread(counts: Vector, step: float) -> MeasuredValue:
     """Return the standard deviation of N readings at rest, and the standard error of this estimate.
 
     The estimated variance s² has the variance (m_4 - s⁴) / N, with m_4 the fourth central moment.
@@ -142,7 +142,7 @@ def spread(counts: Vector, step: float) -> Figure:
     of_moments = max(float(np.mean(deviations**4)) - variance**2, 0.0) / N
     of_variance = sqrt(of_moments + (step**2 / N) ** 2)
     s = sqrt(variance)
-    return Figure(value=s, std=of_variance / (s + sqrt(variance + of_variance)))
+    return MeasuredValue(value=s, std=of_variance / (s + sqrt(variance + of_variance)))
 
 
 def noise_before_rounding(variance: float, step: float) -> float:

@@ -18,7 +18,7 @@ from math import isfinite, pi, sqrt
 
 import numpy as np
 from armrig_core.errors import InputError
-from armrig_core.rig.calibration import CALIBRATED, Figure
+from armrig_core.rig.calibration import CALIBRATED, MeasuredValue
 from armrig_core.rig.volts import U_MAX_V
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
@@ -45,11 +45,11 @@ class Turning:
 
     direction: int
     """1 if the counts increase as the shaft turns, -1 if they decrease."""
-    per_turn: Figure
+    per_turn: MeasuredValue
     """Counts of a whole turn, as if the track continued in the dead band."""
-    low: Figure
+    low: MeasuredValue
     """Reading at the beginning of the track, in counts."""
-    high: Figure
+    high: MeasuredValue
     """Reading at the end of the track, in counts."""
     turns: int
     """Number of passes through the dead band."""
@@ -89,7 +89,7 @@ def turning(readings: Readings, step: float) -> Turning:
     Raises InputError if no voltage was held long enough, or the shaft did not turn in one direction
     throughout.
     """
-    settled = _settled(readings)
+    settled = _select_settled(readings)
     live = settled.live
     if np.count_nonzero(live) < 10 * (settled.volts.size + 1):
         raise InputError(f"{_TURNING} shows no angle: check its wires, then {_REMEDY}")
@@ -103,7 +103,7 @@ def turning(readings: Readings, step: float) -> Turning:
     # Fit twice. The first fit leaves out readings near an edge by their values. The second fit
     # leaves out readings by their places on the fitted lines, which noise does not bias.
     for _ in range(2):
-        x, covariance, variance = _fitted(settled, n, inside, direction)
+        x, covariance, variance = _fit_lines(settled, n, inside, direction)
         place, n = _places(settled, x, direction, (low + high) / 2)
         margin = 6 * (sqrt(variance) + step)
         inside = (place > low + margin) & (place < high - margin)
@@ -113,7 +113,7 @@ def turning(readings: Readings, step: float) -> Turning:
                 f"{_TURNING} was at a rail at {100 * misread:.0f} % of its track: {_REMEDY}"
             )
         inside &= live
-    x, covariance, variance = _fitted(settled, n, inside, direction)
+    x, covariance, variance = _fit_lines(settled, n, inside, direction)
     place, _ = _places(settled, x, direction, (low + high) / 2)
     m = settled.volts.size
     var_d = float(covariance[-1, -1])
@@ -127,10 +127,10 @@ def turning(readings: Readings, step: float) -> Turning:
     )
     return Turning(
         direction=direction,
-        per_turn=Figure(value=float(x[-1]), std=sqrt(var_d)),
-        low=_bracketed(low_edge, var_d),
-        high=_bracketed(high_edge, var_d),
-        turns=_passed(settled, turns),
+        per_turn=MeasuredValue(value=float(x[-1]), std=sqrt(var_d)),
+        low=_interval_middle(low_edge, var_d),
+        high=_interval_middle(high_edge, var_d),
+        turns=_turn_count(settled, turns),
         volts=settled.volts,
         slopes=x[m : 2 * m],
         covariance=covariance[m:, m:],
@@ -138,7 +138,7 @@ def turning(readings: Readings, step: float) -> Turning:
     )
 
 
-def _settled(readings: Readings) -> _Settled:
+def _select_settled(readings: Readings) -> _Settled:
     """Return the samples at voltages above 0 that were held long enough."""
     u, t = readings.u, readings.t
     held = [
@@ -179,12 +179,12 @@ def _turns(settled: _Settled) -> tuple[Vector, int]:
     return np.r_[0.0, np.cumsum(far)], direction
 
 
-def _passed(settled: _Settled, turns: Vector) -> int:
+def _turn_count(settled: _Settled, turns: Vector) -> int:
     level = settled.level[settled.live]
     return int(sum(np.ptp(turns[level == j]) for j in range(settled.volts.size)))
 
 
-def _fitted(
+def _fit_lines(
     settled: _Settled, n: Vector, rows: Mask, direction: int
 ) -> tuple[Vector, Matrix, float]:
     """Return (a_j, b_j, d), their covariance and the variance of the residuals."""
@@ -236,10 +236,10 @@ def _least(values: Vector, otherwise: float) -> float:
     return float(values.min()) if values.size else otherwise
 
 
-def _bracketed(bracket: tuple[float, float], variance: float) -> Figure:
+def _interval_middle(bracket: tuple[float, float], variance: float) -> MeasuredValue:
     """Return the middle of an interval that contains a value, and its standard deviation."""
     low, high = bracket  # the value is uniformly distributed, with a further `variance`
-    return Figure(value=(low + high) / 2, std=sqrt((high - low) ** 2 / 12 + variance))
+    return MeasuredValue(value=(low + high) / 2, std=sqrt((high - low) ** 2 / 12 + variance))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -252,14 +252,14 @@ class TerminalVoltage:
     """Covariance matrix of offset and gain; entries of the offset are 0 for a single reading."""
 
     @property
-    def offset(self) -> Figure:
+    def offset(self) -> MeasuredValue:
         """Terminal voltage of the line at u = 0, in V."""
-        return Figure(value=float(self.line[0]), std=sqrt(float(self.covariance[0, 0])))
+        return MeasuredValue(value=float(self.line[0]), std=sqrt(float(self.covariance[0, 0])))
 
     @property
-    def gain(self) -> Figure:
+    def gain(self) -> MeasuredValue:
         """Gain of the line: volts at the terminals per volt of u."""
-        return Figure(value=float(self.line[1]), std=sqrt(float(self.covariance[1, 1])))
+        return MeasuredValue(value=float(self.line[1]), std=sqrt(float(self.covariance[1, 1])))
 
 
 STANDSTILL_RAD_S = 0.1
@@ -272,9 +272,9 @@ IDEAL_DRIVER = TerminalVoltage(line=np.array([0.0, 1.0]), covariance=np.zeros((2
 class Speeds:
     """Line fitted to the measured speeds: speed = rate · (terminal voltage - zero_torque)."""
 
-    rate: Figure
+    rate: MeasuredValue
     """Speed per volt at the terminals, in rad/s/V."""
-    zero_torque: Figure
+    zero_torque: MeasuredValue
     """Terminal voltage at which the line has speed 0, in V.
 
     Friction and the driver's offset shift this voltage from 0.
@@ -298,10 +298,10 @@ def terminal_voltage(
     if not 0 < meter_std_v < U_MAX_V:
         raise InputError(f"a meter's standard deviation of {meter_std_v:g} V: it must be above 0 V")
     u, y = np.array(meter, dtype=np.float64).T
-    for volts, shown in meter:
-        if not (0 < volts <= U_MAX_V and isfinite(shown) and 0 < shown < 2 * U_MAX_V):
+    for volts, actual in meter:
+        if not (0 < volts <= U_MAX_V and isfinite(actual) and 0 < actual < 2 * U_MAX_V):
             raise InputError(
-                f"the meter reads {shown:g} V at a code of {volts:g} V: the reading must be above "
+                f"the meter reads {actual:g} V at a code of {volts:g} V: the reading must be above "
                 f"0 V and below {2 * U_MAX_V:g} V, at a code above 0 V, at most {U_MAX_V:g} V"
             )
     if u.size == 1:
@@ -343,11 +343,11 @@ def speeds(turned: Turning, terminal: TerminalVoltage) -> Speeds | None:
     at = np.array([1.0, stop])
     rate, var_gain = slope / gain, terminal.covariance[1, 1]
     return Speeds(
-        rate=Figure(
+        rate=MeasuredValue(
             value=float(rate),
             std=sqrt(float(P[0, 0] / gain**2 + rate**2 * var_gain / gain**2)),
         ),
-        zero_torque=Figure(
+        zero_torque=MeasuredValue(
             value=float(offset + gain * stop),
             std=sqrt(float(gain**2 * gradient @ P @ gradient + at @ terminal.covariance @ at)),
         ),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.numerics.quantities import scaled, with_std
+from armrig.numerics.quantities import with_std, with_unit
 from armrig.physics.calibration_readings import Readings, readings_of
 from armrig.physics.calibration_turns import IDEAL_DRIVER, Speeds, TerminalVoltage, Turning
 from armrig.physics.step_response import characteristics, step_response, step_sensitivities
@@ -21,7 +21,7 @@ from armrig.plots.layout import BLUE, GREY, INK, VERMILION, axes, finish, panels
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.physics.calibration import Estimate
+    from armrig.physics.calibration import CalibrationEstimate
     from armrig.recordings.recording import Recording
 
 _TOP, _LOW, _BETWEEN = 2.0, 0.0, 1.0  # heights of the rows of the drawing
@@ -113,8 +113,8 @@ def plot_physical_step(
     for (label, p), pen in zip(cases.items(), pens(len(cases)), strict=True):
         speed = step_response(p, t, u=u)
         top = max(top, float(speed.max()))
-        found = characteristics(p)
-        steady, slope = u * found.steady_speed, u * found.initial_slope
+        features = characteristics(p)
+        steady, slope = u * features.steady_speed, u * features.initial_slope
         text = f"{_in_symbols(label)}: steady {steady:.4f} rad/s, initial slope {slope:.2f} rad/s²"
         ax.plot(t, speed, label=text, **pen)
     first = characteristics(next(iter(cases.values())))
@@ -168,7 +168,7 @@ def plot_sensitivities(
 
 
 def plot_calibration(
-    estimate: Estimate, turns: Recording | Readings, *, ax: Axes | None = None
+    estimate: CalibrationEstimate, turns: Recording | Readings, *, ax: Axes | None = None
 ) -> Axes:
     """Plot theta_1's readings and the edges of its track; below, plot speed against voltage.
 
@@ -197,7 +197,7 @@ def plot_calibration(
     _plot_speeds(below, turned, estimate.speeds, estimate.terminal)
     finish(ax)
     finish(below)
-    legend(ax, f"one count is {scaled(size.value, size.std, 'rad')}")
+    legend(ax, f"one count is {with_unit(size.value, size.std, 'rad')}")
     legend(below)
     return ax
 

@@ -123,9 +123,9 @@ def _rise_time(p: ArmParameters, poles: NDArray[np.complex128], steady_speed: fl
     settled = _SETTLING_TIMES * slowest_time(poles.real)
     while h * _POINTS < _WINDOW_GROWTH * settled:
         angle = step_response(p, h * np.arange(_POINTS), state=THETA_1) / steady_speed
-        found = rise_time(angle, h, integrated=True)
-        if np.isfinite(found):
-            return found
+        rise_s = rise_time(angle, h, integrated=True)
+        if np.isfinite(rise_s):
+            return rise_s
         h *= _WINDOW_GROWTH
     return float("nan")
 
@@ -188,15 +188,15 @@ def step_sensitivities(
     for name in names:
         if name not in NAMES:
             raise InputError(f"{name!r} is none of {', '.join(NAMES)}")
-    physics, found = Physics(model=model, fixed=p, outputs=(THETA_1,)), {}
+    physics, derivatives = Physics(model=model, fixed=p, outputs=(THETA_1,)), {}
     for name in names:
         size = (p.N * p.K_m) ** 2 / p.R_m if name in SIGNED else getattr(p, name)
         up, down = (
             _response({name: getattr(p, name) + h * size}, t, u, physics, state)
             for h in (_STEP, -_STEP)
         )
-        found[name] = (up - down) / (2 * _STEP)
-    return found
+        derivatives[name] = (up - down) / (2 * _STEP)
+    return derivatives
 
 
 def _response(

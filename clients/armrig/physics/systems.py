@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.commands.rehearsal import rehearse as rehearse
-from armrig_core.process.calls import checked_call
+from armrig_core.process.calls import with_argument_checks
 from armrig_core.rig.arm import ArmParameters as ArmParameters
 from armrig_core.rig.arm import arm_matrices, chassis_matrices, zero_order_hold
 from armrig_core.rig.calibration import ALPHA, THETA_1
@@ -48,17 +48,17 @@ def beside_the_handout(p: ArmParameters) -> dict[str, ArmParameters]:
     The first case contains the handout's parameters. Each further case changes one parameter to its
     value in `p`. If `p` changes several parameters, the last case is `p`.
     """
-    own = ArmParameters()
+    handout = ArmParameters()
     changed = {f.name: getattr(p, f.name) for f in fields(p)}
-    changed = {name: value for name, value in changed.items() if value != getattr(own, name)}
-    cases = {HANDOUT: own}
-    cases |= {f"{n}={value:g}": replace(own, **{n: value}) for n, value in changed.items()}
+    changed = {name: value for name, value in changed.items() if value != getattr(handout, name)}
+    cases = {HANDOUT: handout}
+    cases |= {f"{n}={value:g}": replace(handout, **{n: value}) for n, value in changed.items()}
     if len(changed) > 1:
         cases["both" if len(changed) == 2 else "all"] = p
     return cases
 
 
-@checked_call
+@with_argument_checks
 def arm(p: ArmParameters) -> control.StateSpace:
     """Return the whole rig as a state space, in continuous time.
 
@@ -89,7 +89,7 @@ def arm(p: ArmParameters) -> control.StateSpace:
     return control.ss(A, B, C, 0, inputs=["u"], outputs=[THETA_1, ALPHA], states=states, name="arm")
 
 
-@checked_call
+@with_argument_checks
 def chassis(p: ArmParameters) -> control.StateSpace:
     """Return the rig without its rotating part (handout, figure 6), in continuous time.
 
@@ -120,7 +120,7 @@ def chassis(p: ArmParameters) -> control.StateSpace:
     return control.ss(A, B, C, 0, inputs=["u"], outputs=[THETA_1], states=states, name="chassis")
 
 
-@checked_call
+@with_argument_checks
 def physical_model(p: ArmParameters, data: Dataset) -> Fit:
     """Return the physical model of the whole arm from u to the output of the data.
 

@@ -22,13 +22,13 @@ _RUN_OF_HASH: ContextVar[Mapping[str, str]] = ContextVar(
 )
 
 
-def labelled(output: str) -> str:
+def symbol_of(output: str) -> str:
     """Return the symbol of an output, or its name."""
     return SYMBOLS.get(output, output)
 
 
 @contextmanager
-def named_by_run(runs: Mapping[str, str]) -> Iterator[None]:
+def name_by_run(runs: Mapping[str, str]) -> Iterator[None]:
     """Name recordings in figures by the run's id, such as `@0000000b`, instead of the hash.
 
     `runs` contains the id of each run by the hash of its recording; "" if the run has no id.
@@ -46,13 +46,13 @@ def signature(*sources: str, runs: Mapping[str, str] = MappingProxyType({})) -> 
     For a recording whose hash is in `runs`, the id of the run replaces the hash.
     """
     hashes: dict[str, list[str]] = {}
-    for one in dict.fromkeys(h for source in sources for h in source.split("+") if h):
-        kind, _, digest = one.rpartition(":")
+    for source_id in dict.fromkeys(h for source in sources for h in source.split("+") if h):
+        kind, _, digest = source_id.rpartition(":")
         run = runs.get(digest)
         hashes.setdefault(kind or "recording", []).append(f"@{run}" if run else digest[:12])
     return "; ".join(
-        f"{kind}{'s' if kind == 'recording' and len(of) > 1 else ''} {', '.join(of)}"
-        for kind, of in hashes.items()
+        f"{kind}{'s' if kind == 'recording' and len(ids) > 1 else ''} {', '.join(ids)}"
+        for kind, ids in hashes.items()
     )
 
 
@@ -91,15 +91,15 @@ def legend(ax: Axes, *notes: str, lift: float = 0.0) -> float:
                 for line in text.split("\n")
             )
 
-    def folded(text: str, room: float) -> str:
+    def fold(text: str, room: float) -> str:
         return fill(text, max(12, int(len(text) * room / max(width(text), 1.0))))
 
     names = list(map(drawable, names))
     notes = tuple(map(drawable, notes))
-    names = [folded(n, room - 3 * size) if width(n) > room - 3 * size else n for n in names]
+    names = [fold(n, room - 3 * size) if width(n) > room - 3 * size else n for n in names]
     widths = [width(n) + 3 * size for n in names]
     columns = next((k for k in range(len(names), 1, -1) if _fits(widths, k, room, size)), 1)
-    title = "\n".join(folded(n, room) if width(n) > room else n for n in notes)
+    title = "\n".join(fold(n, room) if width(n) > room else n for n in notes)
     lines = [n.count("\n") + 1 for n in names]
     rows = -(-len(names) // columns)
     height = size * (1.45 * (max(sum(lines), rows) if columns == 1 else rows))
@@ -128,11 +128,11 @@ def legend(ax: Axes, *notes: str, lift: float = 0.0) -> float:
 
 def _fits(widths: list[float], columns: int, room: float, size: float) -> bool:
     """Return whether names of these widths, in `columns` columns, fit into the width `room`."""
-    rest, total = list(widths), 1.2 * size * (columns - 1)
+    remaining, total = list(widths), 1.2 * size * (columns - 1)
     for k in range(columns):
         n = len(widths) // columns + (k < len(widths) % columns)
-        total += max(rest[:n])
-        rest = rest[n:]
+        total += max(remaining[:n])
+        remaining = remaining[n:]
     return total <= room
 
 
@@ -143,6 +143,6 @@ def symbol(parameter: str) -> str:
     return f"${letter}_{index}$" if index else f"${letter}$"
 
 
-def named(output: str, unit: str) -> str:
+def axis_label(output: str, unit: str) -> str:
     """Return the label of an output's axis."""
-    return f"{labelled(output)} [{unit or '–'}]"
+    return f"{symbol_of(output)} [{unit or '–'}]"

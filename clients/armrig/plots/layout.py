@@ -65,7 +65,7 @@ def high_axes(n: int) -> Axes:
     return ax
 
 
-def stacked(size: tuple[float, float], heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
+def stack_panels(size: tuple[float, float], heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
     """Return a new pyplot figure of `size` in inches, and its panels from top to bottom."""
     from matplotlib import pyplot as plt
 
@@ -80,7 +80,7 @@ def figure_of(ax: Axes) -> Figure:
     the caller must call `letter`.
     """
     figure = ax.figure.figure
-    if len({_group(one) for one in figure.axes}) == 1:
+    if len({_group(panel) for panel in figure.axes}) == 1:
         letter(figure)
     _write_degrees(figure)
     show_once(figure)
@@ -91,13 +91,13 @@ def _write_degrees(figure: Figure) -> None:
     """Write °C for degC in all texts of a figure."""
     from matplotlib.text import Text
 
-    for found in figure.findobj(Text):
-        text = found.get_text() if isinstance(found, Text) else ""
-        if isinstance(found, Text) and (shown := with_degrees(text)) != text:
-            found.set_text(shown)
+    for artist in figure.findobj(Text):
+        text = artist.get_text() if isinstance(artist, Text) else ""
+        if isinstance(artist, Text) and (new_text := with_degrees(text)) != text:
+            artist.set_text(new_text)
 
 
-def drawn_by(name: str, what: str) -> Callable[..., Figure]:
+def plot_method(name: str, subject: str) -> Callable[..., Figure]:
     """Return the method `.plot()` of a result that the function `name` of `armrig.plots` draws."""
 
     def plot(self: Any, *, ax: Axes | None = None) -> Figure:
@@ -105,7 +105,7 @@ def drawn_by(name: str, what: str) -> Callable[..., Figure]:
 
         return figure_of(getattr(plots, name)(self, ax=ax))
 
-    plot.__doc__ = f"Return a figure of {what}: see `armrig.plots.{name}`."
+    plot.__doc__ = f"Return a figure of {subject}: see `armrig.plots.{name}`."
     return plot
 
 
@@ -225,8 +225,8 @@ def drawable(text: str) -> str:
 def in_mathtext(text: str) -> str:
     """Return a text with the exponents of 10⁻³ and s⁻¹ in mathtext; few fonts have their digits."""
 
-    def exponent(found: re.Match[str]) -> str:
-        return f"${found[1] or ''}^{{{found[2].translate(_RAISED_DIGITS)}}}$"
+    def exponent(match: re.Match[str]) -> str:
+        return f"${match[1] or ''}^{{{match[2].translate(_RAISED_DIGITS)}}}$"
 
     return re.sub("(?:(10)(?=[⁻⁰¹²³⁴⁵⁶⁷⁸⁹])|(?=⁻))([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", exponent, text)
 
@@ -373,11 +373,11 @@ def logarithmic(axis: XAxis | YAxis, low: float, high: float) -> None:
     bare_minor(axis)
 
 
-def bare_minor(*shown: Axis) -> None:
+def bare_minor(*log_axes: Axis) -> None:
     """Remove the numbers between the decades of logarithmic axes."""
     from matplotlib.ticker import NullFormatter
 
-    for axis in shown:
+    for axis in log_axes:
         axis.set_minor_formatter(NullFormatter())
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from armrig.data.columns import Vector
 from armrig.numerics.stretches import Mask
-from armrig.recordings.grid import Grid
+from armrig.recordings.grid import SampleGrid
 from armrig.recordings.recording import Channel
 
 Indices = NDArray[np.intp]
@@ -35,18 +35,18 @@ leaves a margin for the effect of the springs.
 
 def channels_of(
     samples: NDArray[np.void],
-    rows: Grid,
+    rows: SampleGrid,
     calibration: Calibration | None,
     Ts: float,
     before: NDArray[np.void],
-    channels: Sequence[rig.Channel],
+    channels: Sequence[rig.DeviceChannel],
 ) -> dict[str, Any]:
     """Return the channels, their masks, and the rows from which the number of turns is unknown."""
-    found: dict[str, Channel] = {}
+    signals: dict[str, Channel] = {}
     unknown: tuple[int, ...] = ()
     for channel in channels:
         pot: Potentiometer | None = getattr(calibration, channel.name, None)
-        y = _on_grid(_calibrated(samples, channel, pot), rows.present)
+        y = _on_grid(_channel_values(samples, channel, pot), rows.present)
         valid = np.isfinite(y)
         if channel.turns or pot is not None:  # of every other channel the daemon marks by NaN
             valid &= _valid(samples, channel, rows.present, before)
@@ -54,12 +54,12 @@ def channels_of(
             y = unwrap(y, valid)
             unknown += tuple(turns_unknown(valid, rows.present, Ts).tolist())
         y[~valid] = np.nan
-        found[channel.name] = Channel(y, valid)
-    return {"channels": found, "turns_unknown": unknown}
+        signals[channel.name] = Channel(y, valid)
+    return {"channels": signals, "turns_unknown": unknown}
 
 
 def _valid(
-    samples: NDArray[np.void], channel: rig.Channel, present: Mask, before: NDArray[np.void]
+    samples: NDArray[np.void], channel: rig.DeviceChannel, present: Mask, before: NDArray[np.void]
 ) -> Mask:
     """Return a mask (N,): True if the sample arrived and shows an angle of this channel."""
     rail = int(Flag[channel.rail])  # an array of a Flag would have 8 bytes for each sample
@@ -73,8 +73,8 @@ def _valid(
     return valid
 
 
-def _calibrated(
-    samples: NDArray[np.void], channel: rig.Channel, pot: Potentiometer | None
+def _channel_values(
+    samples: NDArray[np.void], channel: rig.DeviceChannel, pot: Potentiometer | None
 ) -> Vector:
     if pot is None:
         return np.array(samples[channel.value_field], np.float64)
@@ -113,8 +113,8 @@ def unwrap(angle: Vector, valid: Mask) -> Vector:
     valid sample keeps its value.
     """
     unwrapped = np.full(angle.size, np.nan)
-    shown = angle[valid]
-    steps = np.diff(shown)
+    valid_angle = angle[valid]
+    steps = np.diff(valid_angle)
     # The result equals that of np.unwrap to the last bit. Only steps of pi or more need a
     # remainder.
     over = np.flatnonzero(np.abs(steps) >= pi)
@@ -122,8 +122,8 @@ def unwrap(angle: Vector, valid: Mask) -> Vector:
     short[(short == -pi) & (steps[over] > 0)] = pi
     if over.size:
         turned = np.cumsum(short - steps[over])
-        shown[over[0] + 1 :] += np.repeat(turned, np.diff(over, append=steps.size))
-    unwrapped[valid] = shown
+        valid_angle[over[0] + 1 :] += np.repeat(turned, np.diff(over, append=steps.size))
+    unwrapped[valid] = valid_angle
     return unwrapped
 
 
@@ -140,7 +140,7 @@ def turns_unknown(valid: Mask, present: Mask, Ts: float) -> Indices:
     if present.all() and Ts <= HALF_TURN_S:
         return np.zeros(0, np.intp)
     missing = np.cumsum(~present)
-    known = np.flatnonzero(valid)
+    valid_indices = np.flatnonzero(valid)
     # The interval between the last missing sample and the next sample is unseen, too.
-    unseen = np.diff(missing[known])
-    return known[1:][(unseen + 1) * Ts > HALF_TURN_S]
+    unseen = np.diff(missing[valid_indices])
+    return valid_indices[1:][(unseen + 1) * Ts > HALF_TURN_S]

@@ -61,7 +61,7 @@ class Note:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Distribution:
+class TimingPercentiles:
     """Distribution of a quantity over one second, in the quantity's unit."""
 
     p50: float
@@ -89,13 +89,13 @@ class Timing:
 
     t: float
     """Time, in s from the recording's first sample."""
-    wake_lateness_us: Distribution
+    wake_lateness_us: TimingPercentiles
     """Lateness of the host relative to the sample's deadline, in µs."""
-    device_tick_error_us: Distribution
+    device_tick_error_us: TimingPercentiles
     """Absolute error of the sampling interval, measured with the device's clock, in µs."""
-    link_round_trip_us: Distribution
+    link_round_trip_us: TimingPercentiles
     """Round trip of the link, from request to answer, in µs."""
-    queue_depth: Distribution
+    queue_depth: TimingPercentiles
     """Number of setpoints in the device's queue; `n` is 0 for a device without a queue."""
     collections: int
     """Number of garbage collections since the loop started; each stalls the loop. -1: unknown."""
@@ -124,7 +124,7 @@ class DeviceClock:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Clock:
+class RecordingClock:
     """Conversion of host times to seconds from the recording's first sample."""
 
     zero_ns: int
@@ -137,7 +137,7 @@ class Clock:
         return (host_ns - self.zero_ns) / 1e9
 
 
-def reports_of(messages: Mapping[str, list[Any]], clock: Clock) -> dict[str, Any]:
+def reports_of(messages: Mapping[str, list[Any]], clock: RecordingClock) -> dict[str, Any]:
     """Return the fields of a `Recording` for the daemon's protobuf messages, by stream.
 
     Notes of people are not events of the daemon: `disturbances` searches the events.
@@ -152,7 +152,7 @@ def reports_of(messages: Mapping[str, list[Any]], clock: Clock) -> dict[str, Any
         ),
         "timing": tuple(_timing(message, clock) for message in messages.get("timing", [])),
         "clock": tuple(
-            DeviceClock(t=clock.seconds(message.t_host_ns), **_copied(message, DeviceClock, "t"))
+            DeviceClock(t=clock.seconds(message.t_host_ns), **_values(message, DeviceClock, "t"))
             for message in messages.get("clock", [])
         ),
     }
@@ -163,7 +163,7 @@ def is_note(message: Any) -> bool:
     return bool(message.name == protobuf.NOTE)
 
 
-def _gap(message: Any, clock: Clock) -> Gap:
+def _gap(message: Any, clock: RecordingClock) -> Gap:
     return Gap(
         k_first=message.k_first,
         count=message.count,
@@ -174,7 +174,7 @@ def _gap(message: Any, clock: Clock) -> Gap:
     )
 
 
-def _event(message: Any, clock: Clock) -> Event:
+def _event(message: Any, clock: RecordingClock) -> Event:
     stamp = message.timestamp
     real_ns = stamp.seconds * 1_000_000_000 + stamp.nanos
     level = _LEVELS[message.level] if 0 <= message.level < len(_LEVELS) else str(message.level)
@@ -186,12 +186,13 @@ def _event(message: Any, clock: Clock) -> Event:
     )
 
 
-def _timing(message: Any, clock: Clock) -> Timing:
+def _timing(message: Any, clock: RecordingClock) -> Timing:
     measured = ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us", "queue_depth")
     return Timing(
         t=clock.seconds(message.t_host_ns),
         **{
-            name: Distribution(**_copied(getattr(message, name), Distribution)) for name in measured
+            name: TimingPercentiles(**_values(getattr(message, name), TimingPercentiles))
+            for name in measured
         },
         collections=-1 if message.collections == _ABSENT_COUNT else message.collections,
         cpu_pressure_percent=message.cpu_pressure_percent,
@@ -199,7 +200,7 @@ def _timing(message: Any, clock: Clock) -> Timing:
     )
 
 
-def _copied(message: Any, kind: type, *others: str) -> dict[str, Any]:
+def _values(message: Any, kind: type, *others: str) -> dict[str, Any]:
     """Return the values of the fields of `kind` that are not in `others`."""
     names = (field.name for field in fields(kind))
     return {name: getattr(message, name) for name in names if name not in others}

@@ -11,7 +11,7 @@ from armrig_core.errors import InputError
 from armrig.data.columns import Vector
 from armrig.numerics.quantities import digits, plural
 from armrig.numerics.stretches import Mask
-from armrig.plots.captions import labelled, legend, sign
+from armrig.plots.captions import legend, sign, symbol_of
 from armrig.plots.layout import (
     BLUE,
     INK,
@@ -124,15 +124,17 @@ def plot_overview(
             signals.append((channel.rate, f"{channel.unit}/s", rate, valid))
     every = rows(ax, 1 + len(signals))
     ax, first, last = every[0], float(rec.t[0]), float(rec.t[-1])
-    given = rec.description.input
-    ax.step(rec.t, given.value(rec.u), where="post", color=INK, lw=0.7)
+    u_signal = rec.description.input
+    ax.step(rec.t, u_signal.value(rec.u), where="post", color=INK, lw=0.7)
     turns = any(channel.turns for channel in rec.description.channels)
     how: dict[str, Any] = {"first": first, "dead_band": turns}
     shade(ax, np.logical_and.reduce([valid for *_, valid in signals]), rec.Ts, **how)
-    ax.set_ylabel(f"{'$u$' if given.name == 'u' else labelled(given.name)} [{given.unit}]")
+    ax.set_ylabel(
+        f"{'$u$' if u_signal.name == 'u' else symbol_of(u_signal.name)} [{u_signal.unit}]"
+    )
     for panel, (name, unit, y, valid) in zip(every[1:], signals, strict=True):
         panel.plot(rec.t, y, color=BLUE, lw=0.7)
-        panel.set_ylabel(f"{labelled(name)} [{unit}]")
+        panel.set_ylabel(f"{symbol_of(name)} [{unit}]")
         shade(panel, valid, rec.Ts, **how)
         _ring(panel, rec.t, y, outliers.get(name, np.zeros(0)))
     every[-1].set_xlabel("$t$ [s]")

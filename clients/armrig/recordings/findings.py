@@ -51,8 +51,8 @@ def early_end(r: Recording) -> str:
 
 def check_run(r: Recording) -> Iterator[Finding]:
     """Check how the run ended, the number of samples that arrived, and that the input changes."""
-    came, u = r.samples.size, r.u[np.isfinite(r.u)]
-    instants = ceil(came / r.manifest.every)
+    count, u = r.samples.size, r.u[np.isfinite(r.u)]
+    instants = ceil(count / r.manifest.every)
     if r.cut_off:
         yield warning("run", f"the file is cut off: it contains {r.N * r.Ts:g} of {r.asked_s:g} s")
     elif r.truncated:
@@ -82,20 +82,20 @@ def _arrival(r: Recording) -> Finding:
 
 def check_first(r: Recording) -> Finding:
     """Check the share of samples without the first channel, and the longest time without it."""
-    came, first, name = r.samples.size, r.description.channels[0], r.first
+    count, first, name = r.samples.size, r.description.channels[0], r.first
     about, body = "angle" if first.turns else "output", first.body or "shaft"
     if not r.valid.any():
         lost = "the value is out of the converter's range"
         if first.turns:
             lost = f"the wiper is in the dead band (turn the {body} by hand)"
-        text = f"no sample of {came} shows {name}: a wire is broken, or {lost}"
+        text = f"no sample of {count} shows {name}: a wire is broken, or {lost}"
         return unusable(about, f"{text}; look at `armrig watch`")
     if not first.turns:
         if not r.hidden:
             return good(about, f"{name} is inside the converter's range in all samples")
-        text = f"{name} was at an end of the converter's range in {r.hidden} of {came} samples"
+        text = f"{name} was at an end of the converter's range in {r.hidden} of {count} samples"
         return warning(about, f"{text}, which count as missing")
-    share, unseen = r.hidden / came, longest(r.present & ~r.valid) * r.Ts
+    share, unseen = r.hidden / count, longest(r.present & ~r.valid) * r.Ts
     if unseen > LONGEST_UNSEEN_S:
         text = f"{name} is hidden for {unseen:.1f} s without a break: the {body} was in the dead "
         return warning(about, f"{text}band, or a wire is loose")
@@ -125,9 +125,9 @@ def _check_removed_arm(r: Recording, name: str) -> Finding:
         return good("arm", "the rotating part is removed")
     parts = ["remove the rotating part (handout, figure 6)"] * moved
     remedy = " and ".join([*parts, *["set [arm] removed = true"] * configured])
-    known = ", and the daemon's configuration has an arm" * configured
+    clause = ", and the daemon's configuration has an arm" * configured
     grade = unusable if moved and configured else warning
-    return grade("arm", f"{name} {'moves' if moved else 'rests'}{known}: {remedy}")
+    return grade("arm", f"{name} {'moves' if moved else 'rests'}{clause}: {remedy}")
 
 
 def second_moves(r: Recording) -> bool:
@@ -186,7 +186,7 @@ def converter_step(r: Recording) -> int:
     return 1 << (16 - bits) if isinstance(bits, int) and 0 < bits <= 16 else 1
 
 
-def hidden_step(r: Recording) -> Finding | None:
+def check_step(r: Recording) -> Finding | None:
     """Return a warning if the dead band hides the rise of a step of a turning shaft, else None.
 
     Its numbers are times in s. `begins_s` and `ends_s`, after the step, are those of the last
@@ -202,8 +202,8 @@ def hidden_step(r: Recording) -> Finding | None:
         return None
     y = r[r.first]
     at = int(edges[0]) + 1
-    k, known = np.arange(r.N) - at, r.valid
-    before, after = known & (k < 0) & (k > -at // 2 - 2), known & (k > (r.N - at) // 2)
+    k, valid = np.arange(r.N) - at, r.valid
+    before, after = valid & (k < 0) & (k > -at // 2 - 2), valid & (k > (r.N - at) // 2)
     if min(np.count_nonzero(before), np.count_nonzero(after)) < _MIN_LINE_SAMPLES:
         return None
     v0, y0 = np.polyfit(r.Ts * k[before], y[before], 1)
@@ -212,7 +212,7 @@ def hidden_step(r: Recording) -> Finding | None:
     lag = ramp_lag(np.asarray(r.Ts * k[after], np.float64), since[after])
     if np.isnan(lag):
         return None
-    gaps = [g for g in stretches(~known) if g.stop > at + 1 and (g.start - at) * r.Ts < lag]
+    gaps = [g for g in stretches(~valid) if g.stop > at + 1 and (g.start - at) * r.Ts < lag]
     gap = max(gaps, key=lambda g: g.stop - g.start, default=None)
     if gap is None or gap.stop - gap.start < 2 or gap.stop >= r.N:
         return None
@@ -225,7 +225,7 @@ def hidden_step(r: Recording) -> Finding | None:
         return warning("step", f"{text}the {body} turned by hand by a quarter turn", **numbers)
     # The chassis turns from where this run ended to `_MARGIN_RAD` after the dead band.
     begin = y[gap.stop] + np.copysign(_MARGIN_RAD, v0)
-    way = (begin - y[known][-1] - v1 * lag) % (2 * np.pi)
+    way = (begin - y[valid][-1] - v1 * lag) % (2 * np.pi)
     later = way / v0 if v0 > 0 else (way - 2 * np.pi) / v0
     later = later + 2 * np.pi / abs(v0) if later < _EARLIEST_STEP_S else later
     numbers["at_s"] = np.ceil(10 * later) / 10

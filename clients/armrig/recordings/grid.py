@@ -23,7 +23,7 @@ TS_LEAST_S, TS_LIMIT_S = 1e-6, 86_400.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Grid:
+class SampleGrid:
     """Positions of the arrived samples in the sequence of all samples that were due."""
 
     k_first: int
@@ -71,7 +71,7 @@ def grid(
     outcome: Outcome | None,
     gaps: Iterable[tuple[int, int]],
     between: tuple[int, int] = (0, 1 << 63),
-) -> Grid:
+) -> SampleGrid:
     """Return the grid of the samples `k` (n,), which must increase strictly.
 
     The grid begins with the manifest's `k_first` and ends with the last sample that was due. For a
@@ -97,8 +97,8 @@ def grid(
             )
         ends = [end, *(k_gap + count for k_gap, count in gaps), first]
         if outcome is not None:
-            whole = outcome.code == OutcomeCode.COMPLETE
-            ends.append(last if whole else first + outcome.samples + outcome.missing)
+            is_complete = outcome.code == OutcomeCode.COMPLETE
+            ends.append(last if is_complete else first + outcome.samples + outcome.missing)
         begin, end = first, min(max(ends), last)
     begin = max(begin, between[0])
     end = max(min(end, between[1]), begin)
@@ -114,7 +114,7 @@ def grid(
     if k.size < present.size:
         present[:] = False
         present[(k - np.uint64(begin)).astype(np.intp)] = True
-    return Grid(k_first=begin, N=end - begin, present=present, taken=taken)
+    return SampleGrid(k_first=begin, N=end - begin, present=present, taken=taken)
 
 
 def check_sampling_time(manifest: Manifest) -> None:

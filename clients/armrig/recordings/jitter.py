@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armrig.data.columns import Vector
-from armrig.numerics.quantities import NBSP, fixed
+from armrig.numerics.quantities import NBSP, with_decimals
 from armrig.numerics.stretches import longest
 from armrig.recordings.daemon_reports import DeviceClock
 
@@ -160,23 +160,23 @@ class Disturbances:
 
     def texts(self) -> dict[str, str]:
         """Return the reported disturbances as text with units, by the name of the disturbance."""
-        found = {}
+        facts = {}
         if self.seconds and self.collections >= 0:
-            found["garbage collections of the loop"] = str(self.collections)
+            facts["garbage collections of the loop"] = str(self.collections)
         if not isnan(self.cpu_pressure_percent):
             share = f"{self.cpu_pressure_percent:.0f}{NBSP}%"
-            found["processor wanted by others, worst second"] = share
+            facts["processor wanted by others, worst second"] = share
         if self.run_queue >= 0:
-            found["most tasks runnable"] = str(self.run_queue)
+            facts["most tasks runnable"] = str(self.run_queue)
         if not isnan(self.round_trip_us):
-            found["longest round trip"] = f"{self.round_trip_us / 1e3:.2f}{NBSP}ms"
+            facts["longest round trip"] = f"{self.round_trip_us / 1e3:.2f}{NBSP}ms"
         if not isnan(self.drift_ppm):
-            drift = f"{fixed(self.drift_ppm, 1)} ± {self.drift_std_ppm:.1f}{NBSP}ppm"
-            found["device's clock slow by"] = drift
-            found["device's clock known to"] = f"± {self.offset_std_us:.1f}{NBSP}µs"
+            drift = f"{with_decimals(self.drift_ppm, 1)} ± {self.drift_std_ppm:.1f}{NBSP}ppm"
+            facts["device's clock slow by"] = drift
+            facts["device's clock known to"] = f"± {self.offset_std_us:.1f}{NBSP}µs"
         if self.held_up_ms:
-            found["emulator held up"] = f"{self.held_up_ms}{NBSP}ms"
-        return found
+            facts["emulator held up"] = f"{self.held_up_ms}{NBSP}ms"
+        return facts
 
 
 def disturbances(recording: Recording) -> Disturbances:

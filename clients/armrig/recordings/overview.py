@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from armrig_core.recording_file.manifest import Recovered
-from armrig_core.rig.channels import Channel
+from armrig_core.rig.channels import DeviceChannel
 
 from armrig.data.columns import Vector
 from armrig.data.finding import Finding, good
 from armrig.data.treatment import Drift, drift, hampel
-from armrig.numerics.quantities import digits, listed, plural
+from armrig.numerics.quantities import digits, join_names, plural
 from armrig.recordings.daemon_reports import gap_lines
 from armrig.recordings.findings import second_moves
 from armrig.recordings.jitter import Spread, disturbances, sampling_statistics
@@ -70,7 +70,7 @@ class Overview:
             ("missing", f"{rec.missing} of {plural(rec.N, 'sample')}"),
             (hidden, f"{plural(rec.hidden, 'sample')} without {first.name}"),
             *((f"outliers, {name}", _outliers(times)) for name, times in self.outliers.items()),
-            *((f"drift, {name}", str(found)) for name, found in self.drift.items()),
+            *((f"drift, {name}", str(slope)) for name, slope in self.drift.items()),
             *((f"not looked at, {name}", why) for name, why in self.reasons.items()),
         ]
 
@@ -104,7 +104,7 @@ def overview(recording: Recording) -> Overview:
     The angle of a turning shaft is not searched for a drift: its slope is the response to the mean
     of u.
     """
-    known, channels = np.isfinite(recording.u), recording.description.channels
+    has_input, channels = np.isfinite(recording.u), recording.description.channels
     reasons = _reasons(recording)
 
     def each(names: Iterable[str], search: Callable[[Dataset], Any]) -> Iterator[tuple[str, Any]]:
@@ -117,16 +117,16 @@ def overview(recording: Recording) -> Overview:
 
     searched = () if "outliers" in reasons else tuple(recording.channels)
     outliers = {
-        name: recording.t[known][wrong]
+        name: recording.t[has_input][wrong]
         for name, wrong in each(searched, lambda data: data.valid & ~hampel(data).valid)
     }
     # No such signal integrates: springs hold an arm, and the back-EMF limits the rate. In a
     # recording as short as the swing after a step, a test for an integrator is unreliable.
     drifting = (channel.rate or channel.name for channel in channels)
     drifts = {
-        f"{name} {i}" if len(found) > 1 else name: line
-        for name, found in each(drifting, partial(drift, integrator=False))
-        for i, line in enumerate(found, 1)
+        f"{name} {i}" if len(lines) > 1 else name: line
+        for name, lines in each(drifting, partial(drift, integrator=False))
+        for i, line in enumerate(lines, 1)
     }
     return Overview(
         recording=recording,
@@ -155,7 +155,7 @@ def _reasons(recording: Recording) -> dict[str, str]:
     return reasons
 
 
-def _motion(rec: Recording, channel: Channel) -> str:
+def _motion(rec: Recording, channel: DeviceChannel) -> str:
     """Return the range of a channel, or the turns and the speed of a turning shaft."""
     y, valid = rec.channel(channel.name)
     if not channel.turns:
@@ -167,9 +167,9 @@ def _motion(rec: Recording, channel: Channel) -> str:
 
 
 def _input_row(rec: Recording) -> tuple[str, str]:
-    given = rec.description.input
-    u, unit = given.value(rec.u), given.unit
-    return given.name, f"{_range(u)} {unit}, {digits(float(np.nanmean(u)), 3)} {unit} on average"
+    signal = rec.description.input
+    u, unit = signal.value(rec.u), signal.unit
+    return signal.name, f"{_range(u)} {unit}, {digits(float(np.nanmean(u)), 3)} {unit} on average"
 
 
 def _range(x: Vector) -> str:
@@ -220,15 +220,15 @@ def contents_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]
     yield "rig", f"{manifest.rig}{', emulated' * manifest.emulated}: {rec.description.title}"
     yield "run", f"{manifest.run_id}, {manifest.started}"
     if manifest.owner:
-        yield "owner", _clipped(manifest.owner)
+        yield "owner", _clip(manifest.owner)
     yield (
         "experiment",
-        _clipped(f"{manifest.experiment}: {details}" if details else manifest.experiment),
+        _clip(f"{manifest.experiment}: {details}" if details else manifest.experiment),
     )
     yield "samples", _sample_count(rec)
     yield "outcome", outcome_text(rec)
     if rec.recovered is not None:
-        yield "recovered", _recovered(rec.recovered)
+        yield "recovered", _recovery_text(rec.recovered)
     yield "calibrated", calibration_text(rec)
     for remark in (*calibration_doubts(rec), *_hash_remarks(rec)):
         yield "remark", remark.text
@@ -238,13 +238,13 @@ def contents_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]
         pacer, late = _BY_DEVICE if manifest.pacing == "scheduled" else _BY_HOST
         yield "paced by", pacer
         yield "lateness", _percentiles(timing.lateness, 1, late)
-    if verbose and (found := disturbances(rec).texts()):
-        yield "disturbances", "; ".join(f"{name}: {text}" for name, text in found.items())
-    notes = [_clipped(f"at {note.t:.2f} s, {note.owner}: {note.text}") for note in rec.notes]
+    if verbose and (causes := disturbances(rec).texts()):
+        yield "disturbances", "; ".join(f"{name}: {text}" for name, text in causes.items())
+    notes = [_clip(f"at {note.t:.2f} s, {note.owner}: {note.text}") for note in rec.notes]
     for name, texts, most in (("gap", gap_lines(rec.gaps), _MAX_GAPS), ("note", notes, _MAX_NOTES)):
-        shown = texts if verbose else texts[:most]
-        yield from ((name, text) for text in shown)
-        if more := len(texts) - len(shown):
+        lines = texts if verbose else texts[:most]
+        yield from ((name, text) for text in lines)
+        if more := len(texts) - len(lines):
             yield name, f"{more} more; --verbose shows them"
     if rec.truncated:
         yield "damage", rec.damage
@@ -256,11 +256,11 @@ def outcome_text(rec: Recording) -> str:
     """Return the outcome of the run as text, with a remark if the file is cut off or damaged."""
     if not rec.truncated:
         return rec.outcome.outcome if rec.outcome else "not known: the file does not contain it"
-    what = "is cut off" if rec.cut_off else "is damaged"
+    state = "is cut off" if rec.cut_off else "is damaged"
     writing = ", or is still being written" if rec.path.suffix == ".active" else ""
     if rec.outcome:
-        return f"of the run: {rec.outcome.outcome}; but the file {what}"
-    return f"not known: the file {what} before the outcome{writing}"
+        return f"of the run: {rec.outcome.outcome}; but the file {state}"
+    return f"not known: the file {state} before the outcome{writing}"
 
 
 def calibration_text(rec: Recording) -> str:
@@ -281,10 +281,10 @@ def _hash_remarks(rec: Recording) -> Iterator[Finding]:
     """Yield a note if attachments of an older file could not be compared with a hash."""
     if rec.unhashed:
         text = f"The manifest, by armrig {rec.manifest.armrig}, contains no hash of "
-        yield good("attachments", f"{text}{listed(rec.unhashed)}: an exchange is not found.")
+        yield good("attachments", f"{text}{join_names(rec.unhashed)}: an exchange is not found.")
 
 
-def _clipped(text: str) -> str:
+def _clip(text: str) -> str:
     return text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]}…; --json shows all of it"
 
 
@@ -300,7 +300,7 @@ def _sample_count(rec: Recording) -> str:
     return text
 
 
-def _recovered(how: Recovered) -> str:
+def _recovery_text(how: Recovered) -> str:
     cut_off = f", the last {how.cut_off_bytes} B were cut off" if how.cut_off_bytes else ""
     cut_off += f"; {how.damage}" if how.damage else ""
     when = how.when[:19].replace("T", " ")

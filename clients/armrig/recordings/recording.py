@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from armrig_core.errors import FileError, InputError
-from armrig_core.process.imports import imported
+from armrig_core.process.imports import load_extra
 from armrig_core.recording_file.manifest import Manifest, Outcome, Recovered
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.description import Description
@@ -205,8 +205,8 @@ class Recording:
         channels: Mapping[str, Channel] = object.__getattribute__(self, "channels")
         if name in channels:
             return channels[name].y
-        if (of := name.removeprefix("valid_")) != name and of in channels:
-            return channels[of].valid
+        if (channel := name.removeprefix("valid_")) != name and channel in channels:
+            return channels[channel].valid
         has = ", ".join(channels)
         rig = self.description.title
         raise AttributeError(f"a recording of the rig '{rig}' has no {name}: {has}")
@@ -247,33 +247,33 @@ class Recording:
             raise InputError(f"output={output!r}: a recording has {', '.join(self.outputs)}")
         measured = next(c for c in self.description.channels if output in (c.name, c.rate))
         y, valid = self.channel(measured.name)
-        at, known = self._instants()
+        at, has_input = self._instants()
         y, valid = y[at], valid[at]
-        if not (valid & known).any():
+        if not (valid & has_input).any():
             raise FileError(
                 f"{self.path}: none of its {self.N} samples shows {output}; record again"
             )
-        begins = ~known
-        begins[1:] = ~known[:-1]
+        begins = ~has_input
+        begins[1:] = ~has_input[:-1]
         begins[:1] = True
         if measured.turns or self.is_imported:
             unknown = np.searchsorted(at, self.turns_unknown)
             begins[unknown[unknown < at.size]] = True
-        given = self.description.input
+        rig_input = self.description.input
         data = Dataset(
-            u=given.value(self.u[at][known]),
-            y=y[known],
+            u=rig_input.value(self.u[at][has_input]),
+            y=y[has_input],
             Ts=self.manifest.every * self.Ts,
-            valid=valid[known],
-            starts=np.flatnonzero(begins[known]).tolist() or [0],
+            valid=valid[has_input],
+            starts=np.flatnonzero(begins[has_input]).tolist() or [0],
             output=measured.name,
             unit=measured.unit,
-            input=given.name,
-            input_unit=given.unit,
-            input_scale=(given.offset, given.per_volt),
+            input=rig_input.name,
+            input_unit=rig_input.unit,
+            input_scale=(rig_input.offset, rig_input.per_volt),
             source=self.sha256,
             history=self._history(),
-            r=None if self.r is None else self.r[at][known],
+            r=None if self.r is None else self.r[at][has_input],
         )
         return difference(data) if output == measured.rate else data
 
@@ -356,7 +356,7 @@ class Recording:
         >>> table[["u", "alpha"]].loc[1.0].round(2).to_dict()
         {'u': 4.5, 'alpha': -0.31}
         """
-        pandas = imported("pandas", "pandas")
+        pandas = load_extra("pandas", "pandas")
         frame: DataFrame = pandas.DataFrame(export_columns(self)).set_index("t")
         frame.attrs.update(export_metadata(self))
         return frame
@@ -370,12 +370,12 @@ class Recording:
         >>> table.sizes["t"], table.attrs["unit_alpha"]
         (3000, 'rad')
         """
-        xarray = imported("xarray", "xarray")
-        found = export_columns(self)
+        xarray = load_extra("xarray", "xarray")
+        columns = export_columns(self)
         about = {name: {"units": unit} for name, unit in _units(self).items()}
-        t = found.pop("t")
+        t = columns.pop("t")
         made: XarrayDataset = xarray.Dataset(
-            {name: ("t", column, about.get(name, {})) for name, column in found.items()},
+            {name: ("t", column, about.get(name, {})) for name, column in columns.items()},
             coords={"t": ("t", t, about["t"])},
             attrs=export_metadata(self),
         )
@@ -412,36 +412,36 @@ def export_columns(recording: Recording, *, raw: bool = False) -> dict[str, NDAr
     recorded readings and times, with 0 for a missing sample.
     """
     channels = [(c, recording.channel(c.name)) for c in recording.description.channels]
-    given = recording.description.input
-    found: dict[str, NDArray[Any]] = {
+    rig_input = recording.description.input
+    columns: dict[str, NDArray[Any]] = {
         "k": recording.k_first + np.arange(recording.N),
         "t": recording.t,
-        given.name: given.value(recording.u),
-        **{c.name: shown.y for c, shown in channels},
-        **{c.valid: shown.valid for c, shown in channels},
+        rig_input.name: rig_input.value(recording.u),
+        **{c.name: channel.y for c, channel in channels},
+        **{c.valid: channel.valid for c, channel in channels},
         "present": recording.present,
     }
-    own = _law_columns(recording)  # a channel of the rig keeps its name
-    found |= {f"law_{name}" if name in found else name: column for name, column in own.items()}
+    law = _law_columns(recording)  # a channel of the rig keeps its name
+    columns |= {f"law_{name}" if name in columns else name: column for name, column in law.items()}
     counts = (c.counts_field for c, _ in channels)
     names = (*counts, "flags", "t_device_us", "t_host_ns", "t_sched_ns")
     for name in names if raw else ():
         column = np.zeros(recording.N, recording.samples.dtype[name])
         column[recording.present] = recording.samples[name]
-        found[name] = column
-    return found
+        columns[name] = column
+    return columns
 
 
 def _law_columns(recording: Recording) -> dict[str, NDArray[Any]]:
     """Return the columns (N,) of a run under a control law, by name; {} without a law."""
     if recording.decisions is None:
         return {}
-    found = recording.decisions()
-    row = found["k"].astype(np.int64) - recording.k_first
-    own = (row >= 0) & (row < recording.N)
+    table = recording.decisions()
+    row = table["k"].astype(np.int64) - recording.k_first
+    inside = (row >= 0) & (row < recording.N)
     v, is_limited = np.full(recording.N, np.nan), np.zeros(recording.N, np.bool_)
-    v[row[own]] = found["v"][own]
-    is_limited[row[own]] = (found["is_low"] + found["is_high"] + found["is_slewed"])[own] > 0
+    v[row[inside]] = table["v"][inside]
+    is_limited[row[inside]] = (table["is_low"] + table["is_high"] + table["is_slewed"])[inside] > 0
     r = {} if recording.r is None else {"r": recording.r}
     return r | {"v": v, "is_limited": is_limited}
 
@@ -459,6 +459,6 @@ def export_metadata(recording: Recording) -> dict[str, str]:
 
 
 def _units(recording: Recording) -> dict[str, str]:
-    given, channels = recording.description.input, recording.description.channels
+    rig_input, channels = recording.description.input, recording.description.channels
     law = {"v": "V"} if recording.decisions else {}
-    return {**law, "t": "s", given.name: given.unit} | {c.name: c.unit for c in channels}
+    return {**law, "t": "s", rig_input.name: rig_input.unit} | {c.name: c.unit for c in channels}

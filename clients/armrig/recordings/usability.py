@@ -16,7 +16,7 @@ from armrig_core.rig.description import Description
 
 from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding, few_samples, lines_of, warning
-from armrig.numerics.quantities import digits, listed, plural
+from armrig.numerics.quantities import digits, join_names, plural
 from armrig.numerics.regressors import whitening
 from armrig.recordings import findings
 
@@ -118,7 +118,7 @@ def data_verdict(recording: Recording) -> DataVerdict:
       samples  all 3000 samples arrived
       ...
     """
-    came = recording.samples.size
+    count = recording.samples.size
     if recording.is_imported:  # nothing is known about a sensor or a clock
         unknown = dict.fromkeys(("signal_rad", "noise_rad", "step_rad", "hidden_share"), nan)
         return DataVerdict(
@@ -127,25 +127,25 @@ def data_verdict(recording: Recording) -> DataVerdict:
             missing_share=recording.missing / recording.N,
             **unknown,
         )
-    known = np.count_nonzero(recording.valid & np.isfinite(recording.u))
-    seen = recording.dataset() if known >= findings.TOO_FEW else None
+    valid_count = np.count_nonzero(recording.valid & np.isfinite(recording.u))
+    seen = recording.dataset() if valid_count >= findings.TOO_FEW else None
     step = _step(recording)
     noise = max(_noise(seen), step / 12**0.5) if seen else float("nan")
     first = recording.description.channels[0]
     signal = _signal(seen, noise, lines=first.turns) if seen else float("nan")
-    found = [*findings.check_run(recording), findings.check_first(recording)]
-    found += filter(None, [findings.hidden_step(recording)])
-    found += findings.check_second(recording)
+    checks = [*findings.check_run(recording), findings.check_first(recording)]
+    checks += filter(None, [findings.check_step(recording)])
+    checks += findings.check_second(recording)
     if seen:
-        found += findings.check_signal(recording, signal, noise, step)
-        found += findings.check_timing(recording, seen, noise)
+        checks += findings.check_signal(recording, signal, noise, step)
+        checks += findings.check_timing(recording, seen, noise)
     return DataVerdict(
         recording=recording.sha256,
-        findings=(*found, *findings.check_turns(recording)),
+        findings=(*checks, *findings.check_turns(recording)),
         signal_rad=signal,
         noise_rad=noise,
         step_rad=step,
-        hidden_share=recording.hidden / came if came else float("nan"),
+        hidden_share=recording.hidden / count if count else float("nan"),
         missing_share=recording.missing / recording.N if recording.N else float("nan"),
     )
 
@@ -166,7 +166,7 @@ def _signal(data: Dataset, noise: float, *, lines: bool) -> float:
         return float(np.sqrt(max(float(np.nanvar(data.y)) - noise**2, 0.0)))
     n = max(8, round(_STRETCH_S / data.Ts))
     moving = data[n:] if data.N * data.Ts > _START_S else data
-    squares, known = 0.0, 0
+    squares, count = 0.0, 0
     for part in moving.experiments():
         # Intervals overlap by half: a step at an edge is in the middle of the next interval.
         for a in range(0, max(part.N - n // 2, 1), n // 2):
@@ -176,8 +176,8 @@ def _signal(data: Dataset, noise: float, *, lines: bool) -> float:
                 continue
             t, y = t[there] - t[there].mean(), y[there] - y[there].mean()
             squares += float(np.sum((y - (t @ y) / (t @ t) * t) ** 2))
-            known += y.size
-    return float(np.sqrt(max(squares / known - noise**2, 0.0))) if known else 0.0
+            count += y.size
+    return float(np.sqrt(max(squares / count - noise**2, 0.0))) if count else 0.0
 
 
 def _noise(data: Dataset) -> float:
@@ -205,14 +205,14 @@ def doubts(recording: Recording) -> Iterator[Finding]:
 def warnings_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
     """Return the doubts about recordings for models, and about the calibrations, as sentences."""
     modelled = [r for r in recordings if r.manifest.kind not in NO_MODEL]
-    found = [finding for r in modelled for finding in doubts(r)]
-    return tuple(f"{f.text}." for f in (*found, *different_calibrations(recordings)))
+    data_doubts = [finding for r in modelled for finding in doubts(r)]
+    return tuple(f"{f.text}." for f in (*data_doubts, *different_calibrations(recordings)))
 
 
 def emulation(recordings: Sequence[Recording]) -> list[str]:
     """Return a list of one sentence on the emulated recordings; empty if there are none."""
     names = [r.name for r in recordings if r.manifest.emulated]
-    where = f" in {listed(names)}" if 0 < len(names) < len(recordings) else ""
+    where = f" in {join_names(names)}" if 0 < len(names) < len(recordings) else ""
     text = f"The rig was emulated{where}: these are not measurements of a real rig."
     return [text] if names else []
 
@@ -227,13 +227,13 @@ def early_ends(recordings: Sequence[Recording]) -> Iterator[Finding]:
 
 def different_calibrations(recordings: Sequence[Recording]) -> Iterator[Finding]:
     """Yield one finding with the groups of recordings if their calibrations differ."""
-    of: dict[tuple[object, ...] | None, list[str]] = {}
+    use: dict[tuple[object, ...] | None, list[str]] = {}
     for r in recordings:
         values = r.calibration.conversion if r.calibration else None
-        of.setdefault(values, []).append(r.name)
-    if len(of) > 1:
-        groups = "; ".join(listed(names) for names in of.values())
-        text = f"The recordings were made with {len(of)} different calibrations ({groups}): their "
+        use.setdefault(values, []).append(r.name)
+    if len(use) > 1:
+        groups = "; ".join(join_names(names) for names in use.values())
+        text = f"The recordings were made with {len(use)} different calibrations ({groups}): their "
         text += "angles and voltages cannot be compared; use one for all, `--calibration FILE`"
         yield warning("calibrations", text)
 
@@ -300,14 +300,14 @@ def doubts_of_pair(
     body = first.description.channels[0].body or "first part"
     alone = [r.manifest.kind == "greybox" for r in pair]
     if rigs[0] != rigs[1]:
-        of, of_other = (f"rig {rig}" + (f" (device {uid})" if uid else "") for rig, uid in rigs)
-        text = f"{a} is of {of}, {b} of {of_other}: a model of one "
+        rig_a, rig_b = (f"rig {rig}" + (f" (device {uid})" if uid else "") for rig, uid in rigs)
+        text = f"{a} is of {rig_a}, {b} of {rig_b}: a model of one "
         yield warning("rig", f"{text}rig does not describe another rig")
     else:
         yield from different_calibrations(pair)
     if one_plant and alone[0] != alone[1]:
-        of, of_other = (f"the {body} alone" if part else "the whole rig" for part in alone)
-        yield warning("plant", f"{a} is of {of}, {b} of {of_other}: they are two plants")
+        rig_a, rig_b = (f"the {body} alone" if part else "the whole rig" for part in alone)
+        yield warning("plant", f"{a} is of {rig_a}, {b} of {rig_b}: they are two plants")
 
 
 def _different_descriptions(ours: Description, theirs: Description) -> str:
@@ -333,12 +333,12 @@ def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> li
 
     A pair is the first recording that is no step or staircase, and a later such recording.
     """
-    found = [finding for r in recordings for finding in doubts(r)]
+    all_findings = [finding for r in recordings for finding in doubts(r)]
     excited = [r for r in recordings if r.manifest.kind not in NO_MODEL]
     for n, other in enumerate(excited[1:]):
         # Only the second recording validates the first; later ones may be of the chassis alone.
-        found += doubts_of_pair(excited[0], other, one_plant=one_plant and n == 0)
+        all_findings += doubts_of_pair(excited[0], other, one_plant=one_plant and n == 0)
     # The calibrations of all recordings are compared at once, unless several rigs explain them.
-    found = [f for f in found if f.about != "calibrations"]
-    of_one_rig = all(f.about != "rig" for f in found)
-    return [*found, *(different_calibrations(recordings) if of_one_rig else ())]
+    all_findings = [f for f in all_findings if f.about != "calibrations"]
+    of_one_rig = all(f.about != "rig" for f in all_findings)
+    return [*all_findings, *(different_calibrations(recordings) if of_one_rig else ())]

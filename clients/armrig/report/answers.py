@@ -90,10 +90,10 @@ def _answers(tables: dict[str, Any]) -> Answers:
     )
 
 
-def _check_keys(table: dict[str, Any], known: tuple[str, ...], where: str) -> None:
+def _check_keys(table: dict[str, Any], keys: tuple[str, ...], where: str) -> None:
     for key in table:
-        if key not in known:
-            raise FileError(f'{where}unknown key "{printable(key)}"; known are {", ".join(known)}')
+        if key not in keys:
+            raise FileError(f'{where}unknown key "{printable(key)}"; known are {", ".join(keys)}')
 
 
 def _text(table: dict[str, Any], key: str, most: int) -> str:
@@ -179,8 +179,8 @@ def questions_toml(file: str) -> str:
 
     The first lines contain the command that reads the file, which is called `file`.
     """
-    asked = (
+    questions = (
         f'\n# {number} {question.title}: {question.asks}\n"{number}" = """\n"""\n'
         for number, question in QUESTIONS.items()
     )
-    return _HEAD.format(file=file) + "".join(asked)
+    return _HEAD.format(file=file) + "".join(questions)

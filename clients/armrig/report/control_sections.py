@@ -23,7 +23,7 @@ from armrig.recordings.files.control_run import control_run
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import emulation, warnings_of
 from armrig.report.recording_facts import notes, run_facts, run_name
-from armrig.report.sections import Contents, Section, Table, figure, numbered, plain
+from armrig.report.sections import Contents, ReportTable, Section, figure, number_sections, plain
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,8 +58,8 @@ def control_study(recording: Recording, model: Fit) -> ControlStudy:
 def control_contents(study: ControlStudy) -> Contents:
     """Return the contents of the report of a run in control, with all numbers as text."""
     run, manifest = study.run, study.run.manifest
-    doubts, found = study.comparison.doubts, study.comparison
-    summary = replace(found, doubts=()).verdict.split("\n")
+    doubts, comparison = study.comparison.doubts, study.comparison
+    summary = replace(comparison, doubts=()).verdict.split("\n")
     return Contents(
         title=f"{run.description.title}: closed loop",
         subtitle=f"rig {manifest.rig}, recorded {manifest.started[:16].replace('T', ' ')}",
@@ -67,13 +67,13 @@ def control_contents(study: ControlStudy) -> Contents:
             warnings=(
                 *warnings_of(study.recordings),
                 *([f"In doubt: {'; '.join(doubts)}."] if doubts else []),
-                *([] if found.law.monitor else ["The law has no monitor."]),
+                *([] if comparison.law.monitor else ["The law has no monitor."]),
             ),
             lead="Summary.",
             paragraphs=(plain(" ".join(summary)),),
             points=tuple(emulation(study.recordings)),
         ),
-        sections=numbered(
+        sections=number_sections(
             (section(study) for section in (_requirement, _result, _model, _design, _robustness)),
             appendix=(_recording(study),),
         ),
@@ -91,7 +91,7 @@ def _requirement(study: ControlStudy) -> Section:
             paragraphs=("The file of the law has no requirement on a step.", *aim),
         )
     measured = study.comparison.worst_step
-    table = Table(
+    table = ReportTable(
         caption="Requirement on a step of the reference. The prediction is the upper end of the "
         "95 % band over draws of the model, without limits of the voltage; the measurement is the "
         "worst step of the run.",
@@ -115,12 +115,12 @@ def _aims(design: Mapping[str, Any]) -> str:
 
 
 def _result(study: ControlStudy) -> Section:
-    found, r = study.comparison, study.comparison.law.reference
+    loop, r = study.comparison, study.comparison.law.reference
     rows = [
-        (f"{one.before:.4g} to {one.after:.4g} {r.unit}", f"{one.at:.4g} s", *_pair(one, other))
-        for one, other in found.steps()
+        (f"{step.before:.4g} to {step.after:.4g} {r.unit}", f"{step.at:.4g} s", *_pair(step, model))
+        for step, model in loop.steps()
     ]
-    table = Table(
+    table = ReportTable(
         caption="Steps of the reference after the prelude. The measured overshoot is that of the "
         "prediction with its mean deviation over 15 samples, because the peak of a noisy signal is "
         "too high.",
@@ -137,44 +137,44 @@ def _result(study: ControlStudy) -> Section:
             "<loop> shows the run. The prediction evaluates the law on the model from rest, "
             "without noise. "
             + (
-                f"In the shaded prelude of {digits(found.prelude * found.Ts, 3)} s the loop is "
+                f"In the shaded prelude of {digits(loop.prelude * loop.Ts, 3)} s the loop is "
                 "open: the voltage is the feed-forward of the reference."
-                if found.prelude
+                if loop.prelude
                 else "The law has no prelude."
             ),
         ),
         tables=(table,) if rows else (),
         figures=figure(
-            "loop", caption, 3.6, partial(plots.plot_loop_comparison, found), floats=False
+            "loop", caption, 3.6, partial(plots.plot_loop_comparison, loop), floats=False
         ),
         points=_saturation(study),
     )
 
 
 def _pair(measured: StepFigures, model: StepFigures) -> tuple[str, ...]:
-    pairs = ((f"{one.overshoot:.0f} %", _settling(one)) for one in (measured, model))
+    pairs = ((f"{step.overshoot:.0f} %", _settling(step)) for step in (measured, model))
     (over, settled), (over_model, settled_model) = pairs
     return over, over_model, settled, settled_model
 
 
-def _settling(one: StepFigures) -> str:
-    return f"{digits(one.settling, 3)} s" if np.isfinite(one.settling) else "not reached"
+def _settling(step: StepFigures) -> str:
+    return f"{digits(step.settling, 3)} s" if np.isfinite(step.settling) else "not reached"
 
 
 def _saturation(study: ControlStudy) -> tuple[str, ...]:
     run, law = control_run(study.run), study.comparison.law
     rehearsal = study.run.manifest.rehearsal
     measured, predicted = map(_range, (study.comparison.u, study.comparison.predicted_u[0]))
-    said = [
+    sentences = [
         f"The law may command {law.lo:g} to {law.hi:g} V. It commanded {measured} (predicted "
         f"{predicted})."
     ]
     if run is not None:
-        said.append(f"{run.shares[0].upper()}{run.shares[1:]}.")
+        sentences.append(f"{run.shares[0].upper()}{run.shares[1:]}.")
     if rehearsal is not None:
         text = rehearsal_sentence(rehearsal)
-        said.append(f"{text[0].upper()}{text[1:]}.")
-    return tuple(said)
+        sentences.append(f"{text[0].upper()}{text[1:]}.")
+    return tuple(sentences)
 
 
 def _range(u: Vector) -> str:
@@ -213,7 +213,7 @@ def _design(study: ControlStudy) -> Section:
     facts += [(plain(k), plain(_text(v))) for k, v in settings.items() if _text(v)]
     gains = {k: v for k, v in law.design.get("gains", {}).items() if isinstance(v, int | float)}
     facts += [(f"gain {plain(k)}", _text(v)) for k, v in gains.items()]
-    table = Table(
+    table = ReportTable(
         caption="The law. Its file is attached to the recording as controller.json.",
         header=("", "value"),
         rows=tuple((name, value) for name, value in facts),
@@ -264,7 +264,7 @@ def _text(value: Any) -> str:
 def _robustness(study: ControlStudy) -> Section:
     check = study.check
     rows = {"model": check.nominal} | dict(check.corners)
-    table = Table(
+    table = ReportTable(
         caption="Margins on the model and on corners: Ms is the largest sensitivity.",
         header=("", "Ms", "gain margin", "phase margin", "delay margin"),
         rows=tuple(
@@ -303,7 +303,7 @@ def _recording(study: ControlStudy) -> Section:
         "the model's data": study.model.source,
         "the rig's description": run.manifest.description_sha256,
     }
-    table = Table(
+    table = ReportTable(
         caption="The recording.",
         header=("", "run"),
         rows=tuple((name, value) for name, value in run_facts(run).items() if value),

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from armrig_core.errors import OperationError
 
-from armrig.numerics.quantities import listed, milliseconds, plural
+from armrig.numerics.quantities import join_names, milliseconds, plural
 from armrig.recordings.usability import early_ends, emulation, warnings_of
 from armrig.report.answers import MAX_STUDENTS, QUESTIONS, Answers, Student
 from armrig.report.control_sections import ControlStudy, control_contents
@@ -21,10 +21,10 @@ from armrig.report.handout_study import HandoutStudy
 from armrig.report.identification_sections import identification_sections
 from armrig.report.physical_sections import numerical_sections, physical_sections
 from armrig.report.recording_facts import calibration_sentences, notes, run_name
-from armrig.report.sections import Contents, Cover, Section, Table
+from armrig.report.sections import Contents, Cover, ReportTable, Section
 from armrig.report.study import Study, best_first
 from armrig.report.study_sections import study_contents
-from armrig.report.typesetting import Places, recorded, source_folder, typeset
+from armrig.report.typesetting import Places, latest_start, source_folder, typeset
 
 MOST_PAGES = 10
 """Number of pages that section 5 of the handout allows, including the cover."""
@@ -60,7 +60,7 @@ def report(
         The PDF cannot be written.
     """
     study = best_first(study)
-    return _written(study, output, study_contents(study, remarks), source, figures)
+    return _write_pdf(study, output, study_contents(study, remarks), source, figures)
 
 
 def handout_report(
@@ -92,7 +92,7 @@ def handout_report(
     OSError
         The PDF cannot be written.
     """
-    return _written(study, output, handout_contents(study, answers or Answers()), source)
+    return _write_pdf(study, output, handout_contents(study, answers or Answers()), source)
 
 
 def control_report(study: ControlStudy, output: str | Path, *, source: Path | None = None) -> Path:
@@ -100,7 +100,7 @@ def control_report(study: ControlStudy, output: str | Path, *, source: Path | No
 
     The arguments and errors are those of `report`.
     """
-    return _written(study, output, control_contents(study), source)
+    return _write_pdf(study, output, control_contents(study), source)
 
 
 def handout_contents(study: HandoutStudy, answers: Answers) -> Contents:
@@ -111,16 +111,16 @@ def handout_contents(study: HandoutStudy, answers: Answers) -> Contents:
         front=_front(study),
         sections=(
             Section(number="2", title="Physical modelling"),
-            *_answered(physical_sections(study), answers),
+            *_sections_with_answers(physical_sections(study), answers),
             Section(number="3", title="System identification"),
-            *_answered(identification_sections(study), answers),
+            *_sections_with_answers(identification_sections(study), answers),
             Section(number="4", title="Numerical simulation"),
-            *_answered(numerical_sections(study), answers),
+            *_sections_with_answers(numerical_sections(study), answers),
         ),
     )
 
 
-def _answered(sections: dict[str, Section], answers: Answers) -> Iterator[Section]:
+def _sections_with_answers(sections: dict[str, Section], answers: Answers) -> Iterator[Section]:
     """Yield the sections with their questions, their answers, and references to their figures.
 
     An empty line begins a paragraph of an answer.
@@ -129,10 +129,10 @@ def _answered(sections: dict[str, Section], answers: Answers) -> Iterator[Sectio
         tables = tuple(
             replace(table, name=f"table-{number}-{k}") for k, table in enumerate(section.tables, 1)
         )
-        shown = [f"<{x.name}>" for x in tables] + [f"<{x.name}>" for x in section.figures]
+        references = [f"<{x.name}>" for x in tables] + [f"<{x.name}>" for x in section.figures]
         paragraphs = section.paragraphs
-        if shown:
-            paragraphs = (*paragraphs[:-1], f"{paragraphs[-1]} See {listed(shown)}.")
+        if references:
+            paragraphs = (*paragraphs[:-1], f"{paragraphs[-1]} See {join_names(references)}.")
         yield replace(
             section,
             number=number,
@@ -170,7 +170,7 @@ def _cover(answers: Answers) -> Cover:
 
 def _front(study: HandoutStudy) -> Section:
     """Return the lower part of the cover: the recordings, their notes and their faults."""
-    table = Table(
+    table = ReportTable(
         caption="The recordings. Figures name a recording by its run. The SHA-256 identifies its "
         "file.",
         header=("file", "run", "samples", "missing", "dead band", "SHA-256"),
@@ -192,14 +192,14 @@ def _front(study: HandoutStudy) -> Section:
         points=(
             *notes(study.recordings),
             *emulation(study.recordings),
-            *(f"{found.text}." for found in early_ends(study.recordings)),
+            *(f"{finding.text}." for finding in early_ends(study.recordings)),
             *calibration_sentences(study.recordings),
             f"Numbers and figures by armrig {version('armrig')}; the reasons are the students'.",
         ),
     )
 
 
-def _written(
+def _write_pdf(
     study: Study | HandoutStudy | ControlStudy,
     output: str | Path,
     contents: Contents,
@@ -209,10 +209,10 @@ def _written(
     """Draw the figures, typeset the contents, write the PDF, and return its path."""
     output = Path(output)
     with source_folder(source) as root:
-        drawn = write_figures(contents, study.recordings, root)
-        pdf, places = typeset(root, contents, recorded(study.recordings))
+        paths = write_figures(contents, study.recordings, root)
+        pdf, places = typeset(root, contents, latest_start(study.recordings))
         if figures is not None:
-            for path in drawn:
+            for path in paths:
                 shutil.copyfile(path, figures / path.name)
     if contents.cover is not None:  # a study may have any length
         check_length(places)

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from armrig import plots
 from armrig.data.dataset import Dataset, Vector
 from armrig.plots import layout
-from armrig.plots.captions import labelled, legend, named, named_by_run
+from armrig.plots.captions import axis_label, legend, name_by_run, symbol_of
 from armrig.recordings.recording import Recording
 from armrig.report.sections import Contents, Draw
 from armrig.report.study import Study
@@ -43,14 +43,14 @@ def write_figures(
 ) -> tuple[Path, ...]:
     """Write the figures of a report of recordings as SVG into `directory`; return their paths."""
     runs, paths = {r.sha256: r.manifest.run_id for r in recordings}, []
-    with mpl.rc_context(STYLE), named_by_run(runs):
+    with mpl.rc_context(STYLE), name_by_run(runs):
         for figure in (figure for section in contents.sections for figure in section.figures):
             paths.append(directory / f"{figure.name}.svg")
-            save(drawn(figure.height, figure.draws), paths[-1])
+            save(draw_figure(figure.height, figure.draws), paths[-1])
     return tuple(paths)
 
 
-def drawn(height: float, draws: Sequence[Draw]) -> Figure:
+def draw_figure(height: float, draws: Sequence[Draw]) -> Figure:
     """Return a figure as wide as the text, without empty panels."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     columns = min(len(draws), 3 if len(draws) % 2 else 2)
@@ -82,23 +82,23 @@ def plot_velocity(study: Study, *, ax: Axes) -> None:
     """Plot a detail of the simulation; of an output that integrates, plot the rate."""
     data, seconds = study.validation, detail_s(study.validation)
 
-    def of(y: Vector) -> Vector:
+    def velocity(y: Vector) -> Vector:
         return np.diff(y) / data.Ts if study.integrates else y[1:]
 
     t = data.t[1:]
     begin = min(data.N // 3 * data.Ts, max(data.t[-1] - seconds, 0.0))
-    shown = (t >= begin) & (t <= begin + seconds)
-    measured = of(data.y)[shown]
-    ax.plot(t[shown], measured, ".", color=plots.INK, ms=2.5, alpha=0.6, label="measured")
+    window = (t >= begin) & (t <= begin + seconds)
+    measured = velocity(data.y)[window]
+    ax.plot(t[window], measured, ".", color=plots.INK, ms=2.5, alpha=0.6, label="measured")
     for model, pen in zip(study.estimated, layout.pens(len(study.estimated)), strict=True):
-        modelled = of(model.comparison.y)
-        ax.plot(t[shown], modelled[shown], label=f"{model.name}, simulated", **pen)
+        modelled = velocity(model.comparison.y)
+        ax.plot(t[window], modelled[window], label=f"{model.name}, simulated", **pen)
     lowest, highest = np.nanmin(measured), np.nanmax(measured)
     room = 0.15 * (highest - lowest)
     ax.set_ylim(lowest - room, highest + room)
     ax.set_xlim(begin, begin + seconds)
     ax.set_xlabel("$t$ [s]")
-    rate = rf"$\Delta{labelled(data.output)[1:-1]}/T_s$ [{data.unit}/s]"
-    ax.set_ylabel(rate if study.integrates else named(data.output, data.unit))
+    rate = rf"$\Delta{symbol_of(data.output)[1:-1]}/T_s$ [{data.unit}/s]"
+    ax.set_ylabel(rate if study.integrates else axis_label(data.output, data.unit))
     plots.finish(ax)
     plots.sign(ax, data.source, above=legend(ax))

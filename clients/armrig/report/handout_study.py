@@ -90,7 +90,7 @@ def handout_study(
     A, B, _ = arm_matrices(p)
     refused: dict[str, str] = {}
 
-    def tried(name: str, result: Callable[[], T]) -> T | None:
+    def guard(name: str, result: Callable[[], T]) -> T | None:
         try:
             return result()
         except ValueError as err:
@@ -102,7 +102,7 @@ def handout_study(
     recordings = sorted(recordings, key=lambda r: (bool(early_end(r)), r.decisions is not None))
     excited = [r for r in recordings if r.manifest.kind not in OTHERS]
     stepped, alone = _first(recordings, "step"), _first(recordings, "greybox")
-    black = tried("black", lambda: best_first(study(excited, orders=orders))) if excited else None
+    black = guard("black", lambda: best_first(study(excited, orders=orders))) if excited else None
     first = stepped or (excited[0].dataset() if excited else None)
     data = black.estimation if black else excited[0].dataset() if excited else None
     return HandoutStudy(
@@ -122,15 +122,15 @@ def handout_study(
             tolerance=TOLERANCE,
             methods=tuple(METHODS.values()),
         ),
-        step=tried("step", lambda: step_analysis(stepped)) if stepped else None,
-        sampling=tried("sampling", lambda: sampling_time(first)) if first else None,
-        hints=tried("hints", lambda: structure_hints(data)) if data else None,
+        step=guard("step", lambda: step_analysis(stepped)) if stepped else None,
+        sampling=guard("sampling", lambda: sampling_time(first)) if first else None,
+        hints=guard("hints", lambda: structure_hints(data)) if data else None,
         black=black,
         alone=alone,
-        grey=tried("grey", lambda: greybox(alone, model=chassis, free=("J_1",))) if alone else None,
-        split=tried("split", lambda: split_study(alone)) if alone else None,
-        loop=tried("loop", lambda: open_loop(data)) if data else None,
-        delay=tried("delay", lambda: delay(data)) if data else None,
+        grey=guard("grey", lambda: greybox(alone, model=chassis, free=("J_1",))) if alone else None,
+        split=guard("split", lambda: split_study(alone)) if alone else None,
+        loop=guard("loop", lambda: open_loop(data)) if data else None,
+        delay=guard("delay", lambda: delay(data)) if data else None,
         refused=refused,
     )
 

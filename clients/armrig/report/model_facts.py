@@ -11,8 +11,7 @@ from armrig.models.fit import Fit
 from armrig.models.structure_table import with_article
 from armrig.numerics.quantities import (
     error,
-    fixed,
-    listed,
+    join_names,
     milliseconds,
     number,
     p_value,
@@ -20,10 +19,11 @@ from armrig.numerics.quantities import (
     places,
     plural,
     power,
+    with_decimals,
 )
 from armrig.recordings.findings import second_moves
 from armrig.report.recording_facts import calibration_sentences, jitter_verdicts, run_name
-from armrig.report.sections import Table, plain
+from armrig.report.sections import ReportTable, plain
 from armrig.report.study import AssessedFit, Study, each_output
 from armrig.validation.answer import tests_sentence
 from armrig.validation.residual_test import ResidualTest
@@ -33,30 +33,30 @@ def orders(study: Study) -> str:
     """Return the orders of each model as text."""
     return "; ".join(
         ", ".join(f"{name} = {n}" for name, n in m.model.orders.items())
-        + f" ({_named(m, one, study)})"
-        for one in each_output(study)
-        for m in one.estimated
+        + f" ({_label(m, part, study)})"
+        for part in each_output(study)
+        for m in part.estimated
     )
 
 
-def _named(m: AssessedFit, one: Study, study: Study) -> str:
+def _label(m: AssessedFit, part: Study, study: Study) -> str:
     """Return the name of a model; if the study has several outputs, with the output's symbol."""
-    return f"{m.name} of {one.symbol}" if study.others else m.name
+    return f"{m.name} of {part.symbol}" if study.others else m.name
 
 
-def model_table(m: AssessedFit, one: Study, study: Study) -> Table:
+def model_table(m: AssessedFit, part: Study, study: Study) -> ReportTable:
     """Return the table of a model's coefficients for one output of the study.
 
     If the physical model has the same polynomials, one column has its coefficients.
     """
-    name, reference = _named(m, one, study), one.reference
+    name, reference = _label(m, part, study), part.reference
     if reference is not None and letters(m.model) != letters(reference.model):
         reference = None
     more, columns = " and their standard deviations", [name, "estimate", "σ", "σ robust"]
     if reference is not None:
         more = ", their standard deviations, and the coefficients of the physical model"
         columns.append(reference.name)
-    return Table(
+    return ReportTable(
         caption=f"Coefficients of {name}{more}.",
         header=tuple(columns),
         rows=tuple(_coefficients(m.model, reference.model if reference else None)),
@@ -67,47 +67,47 @@ def _coefficients(fit: Fit, reference: Fit | None) -> Iterator[tuple[str, ...]]:
     theirs = dict(zip(reference.names, reference.theta, strict=True)) if reference else {}
     for name, value, std, robust in zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True):
         decimals = places(float(std))
-        row = (name, *(fixed(float(x), decimals) for x in (value, std, robust)))
+        row = (name, *(with_decimals(float(x), decimals) for x in (value, std, robust)))
         if reference:
-            row += (fixed(float(theirs[name]), decimals) if name in theirs else "–",)
+            row += (with_decimals(float(theirs[name]), decimals) if name in theirs else "–",)
         yield row
     physical = fit.quantities().values() if fit.Ts == 0 else ()
-    known = (q for q in physical if np.isfinite(q.value))
-    for q in (q for q in known if q.name not in fit.names):  # the delay has a row
-        value, std = (fixed(x, places(q.std)) for x in (q.value, q.std))
+    quantities = (q for q in physical if np.isfinite(q.value))
+    for q in (q for q in quantities if q.name not in fit.names):  # the delay has a row
+        value, std = (with_decimals(x, places(q.std)) for x in (q.value, q.std))
         trusted = ("–", std) if fit.trusts_robust else (std, "–")
         yield (f"{q.name} [{q.unit or '–'}]", value, *trusted)
 
 
 def structure(study: Study) -> str:
     """Return a text on the integrator, the initial state and the dead band in the models."""
-    said = fixed_roots(study)
-    offset = " and the input offset" if said else ""
+    sentences = integrator_sentences(study)
+    offset = " and the input offset" if sentences else ""
     if study.others:
-        outputs = listed([one.symbol for one in each_output(study)])
-        said.append(
+        outputs = join_names([part.symbol for part in each_output(study)])
+        sentences.append(
             f"Each model has both outputs, {outputs}. In the OE model both outputs have one "
             "denominator, which is estimated from both. The table of each output contains the "
             "coefficients of its own transfer function. In the ARX model each output depends on "
             "its own past only, and the covariance of the errors weights both outputs."
         )
     are = "are" if offset else "is"
-    said.append(
+    sentences.append(
         f"The initial state{offset} of each experiment {are} estimated with the model."
         + " Samples in the dead band of the potentiometer, and the first sample after it, count as "
         "missing." * study.of_arm
     )
-    return " ".join(said)
+    return " ".join(sentences)
 
 
-def fixed_roots(study: Study) -> list[str]:
+def integrator_sentences(study: Study) -> list[str]:
     """Return a sentence on each integrator that a model has by construction."""
     return [
-        f"{one.symbol} integrates the {one.input}, so {m.model.integrating.upper()} of "
-        f"{_named(m, one, study)} has the factor "
+        f"{part.symbol} integrates the {part.input}, so {m.model.integrating.upper()} of "
+        f"{_label(m, part, study)} has the factor "
         f"{'1 − q⁻¹' if m.model.Ts else 's'} by construction."
-        for one in each_output(study)
-        for m in one.estimated
+        for part in each_output(study)
+        for m in part.estimated
         if m.model.integrator
     ]
 
@@ -115,9 +115,9 @@ def fixed_roots(study: Study) -> list[str]:
 def estimations(study: Study) -> list[str]:
     """Return the losses and the warnings of each model, without repeated texts."""
     texts = [
-        " ".join(_estimation(_named(m, one, study), m.model, alone=not study.others))
-        for one in each_output(study)
-        for m in one.estimated
+        " ".join(_estimation(_label(m, part, study), m.model, alone=not study.others))
+        for part in each_output(study)
+        for m in part.estimated
     ]
     return list(dict.fromkeys(texts))
 
@@ -137,10 +137,10 @@ def _estimation(name: str, fit: Fit, *, alone: bool) -> Iterator[str]:
 
 def percent_warning(study: Study) -> Iterator[str]:
     """Yield a warning about the fits in percent of each output that integrates."""
-    for one in each_output(study):
-        if one.models[0].velocity_fit_percent is not None:
+    for part in each_output(study):
+        if part.models[0].velocity_fit_percent is not None:
             yield (
-                f"The fit of {one.symbol} is high for every model, because the ramp dominates the "
+                f"The fit of {part.symbol} is high for every model, because the ramp dominates the "
                 "variation: compare the rms errors. The fit of the velocity is computed from "
                 "differences of the angle. The measured differences contain the converter's noise "
                 "twice, so even the true system would not reach 100 %."
@@ -157,17 +157,17 @@ def physics(study: Study) -> str:
     return (
         "The physical model is the handout's: two inertias, a spring and a DC motor. It has the "
         "handout's parameters and is sampled exactly for a held input; nothing in it was fitted. "
-        f"{' '.join(deviations(one, study) for one in each_output(study))} "
+        f"{' '.join(deviations(part, study) for part in each_output(study))} "
     )
 
 
-def deviations(one: Study, study: Study) -> str:
+def deviations(part: Study, study: Study) -> str:
     """Return a sentence on the deviations of one output's models, the best first."""
-    span = f"{one.omega[0]:g} to {one.omega[-1]:.0f} rad/s"
-    to = f"{f' to the {one.angle}' if study.others else ''} differs from the physical model"
+    span = f"{part.omega[0]:g} to {part.omega[-1]:.0f} rad/s"
+    to = f"{f' to the {part.angle}' if study.others else ''} differs from the physical model"
     texts: list[str] = []
-    for m, deviation in ((m, m.deviation) for m in one.ranked if m.deviation is not None):
-        at = number(float(one.omega[np.argmax(deviation)]))
+    for m, deviation in ((m, m.deviation) for m in part.ranked if m.deviation is not None):
+        at = number(float(part.omega[np.argmax(deviation)]))
         shares = (np.median(deviation), np.max(deviation))
         median, most = (percent(100 * float(x)) for x in shares)
         texts.append(
@@ -183,7 +183,8 @@ def without_arm(study: Study) -> str:
     names = [run_name(r) for r in study.recordings if r.sha256 in used and not second_moves(r)]
     second = [*study.recordings[0].channels][-1]
     return (
-        f"In {plain(listed(names))} {second} is constant: the arm was removed or held. The models "
+        f"In {plain(join_names(names))} {second} is constant: the arm was removed or held. The "
+        "models "
         "are therefore not compared with the physical model of the whole rig."
     )
 
@@ -206,7 +207,7 @@ def residual_rows(study: Study) -> tuple[tuple[str, ...], ...]:
     If the models have several outputs, the second column contains the output. The first row of
     each hypothesis then tests all outputs together.
     """
-    of_each = [(one.symbol, [m.tests for m in one.estimated]) for one in each_output(study)]
+    of_each = [(part.symbol, [m.tests for m in part.estimated]) for part in each_output(study)]
     together = [m.together for m in study.estimated if m.together]
     if together:
         of_each.insert(0, ("together", together))
@@ -233,7 +234,9 @@ def conclusions(study: Study) -> list[str]:
         f"{tests_sentence(m.together or m.tests)}."
         for m in study.ranked
     ]
-    points += dict.fromkeys(text for one in each_output(study) for text in _structure_verdicts(one))
+    points += dict.fromkeys(
+        text for part in each_output(study) for text in _structure_verdicts(part)
+    )
     points += calibration_sentences(study.recordings)
     points += jitter_verdicts(study)
     missing = sum(r.missing for r in study.recordings)
@@ -262,21 +265,22 @@ def _structure_verdicts(study: Study) -> Iterator[str]:
 def abstract(study: Study) -> str:
     """Return the result of a study in three sentences."""
     name, each = study.best.name, each_output(study)
-    the = {one.output: f"the {one.angle}" if one.of_arm else one.output for one in each}
+    the = {part.output: f"the {part.angle}" if part.of_arm else part.output for part in each}
     outputs = [f"{the[x.output]} {x.symbol}" if x.of_arm else x.output for x in each]
-    best = [next(m for m in one.estimated if m.name == name) for one in each]
+    best = [next(m for m in part.estimated if m.name == name) for part in each]
     errors = [
-        f"{the[one.output]} with an rms error of "
-        f"{error(m.comparison.rms_error, one.validation.unit)}"
-        for one, m in zip(each, best, strict=True)
+        f"{the[part.output]} with an rms error of "
+        f"{error(m.comparison.rms_error, part.validation.unit)}"
+        for part, m in zip(each, best, strict=True)
     ]
     medians = [percent(100 * float(np.median(d))) for m in best if (d := m.deviation) is not None]
     differs = " In the median its frequency response differs from that of the physical model by "
-    names = listed([with_article(m.name) for m in study.estimated])
+    names = join_names([with_article(m.name) for m in study.estimated])
     motor = "motor's " * study.of_arm
     return (
-        f"{names[0].upper()}{names[1:]} model from the {motor}{study.input} to {listed(outputs)} "
+        f"{names[0].upper()}{names[1:]} model from the {motor}{study.input} to "
+        f"{join_names(outputs)} "
         f"were estimated from {plural(study.estimation.N, 'sample')} at "
         f"{milliseconds(study.estimation.Ts)}. On validation data the {name} model simulates "
-        f"{listed(errors)}.{f'{differs}{listed(medians)}.' if medians else ''}"
+        f"{join_names(errors)}.{f'{differs}{join_names(medians)}.' if medians else ''}"
     )

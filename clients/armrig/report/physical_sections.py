@@ -13,14 +13,14 @@ from armrig_core.telemetry.channels import CHANNELS
 from numpy.typing import NDArray
 
 from armrig import plots
-from armrig.numerics.quantities import NBSP, digits, listed, minus, number, plural, power
+from armrig.numerics.quantities import NBSP, digits, join_names, minus, number, plural, power
 from armrig.physics.integrators.accuracy import Sinusoid, convergence
 from armrig.physics.integrators.methods import method_named
 from armrig.physics.integrators.stability import stability_limit
 from armrig.physics.step_response import Characteristics, characteristics, step_response
-from armrig.plots.captions import labelled
+from armrig.plots.captions import symbol_of
 from armrig.report.handout_study import METHODS, HandoutStudy
-from armrig.report.sections import Figure, Section, Table, figure
+from armrig.report.sections import ReportFigure, ReportTable, Section, figure
 
 
 def physical_sections(study: HandoutStudy) -> dict[str, Section]:
@@ -77,22 +77,22 @@ MAX_HIDDEN_CHANGE = 5e-4
 """Largest relative change that is not visible in a number with three digits."""
 
 
-def _step(found: Characteristics, cases: dict[str, ArmParameters]) -> Section:
-    w = max(found.poles, key=lambda z: z.imag)
-    settled = float(step_response(found.parameters, np.linspace(0.0, 2.0, 2001))[-1])
+def _step(traits: Characteristics, cases: dict[str, ArmParameters]) -> Section:
+    w = max(traits.poles, key=lambda z: z.imag)
+    settled = float(step_response(traits.parameters, np.linspace(0.0, 2.0, 2001))[-1])
     return Section(
         paragraphs=(
             f"After a step of 1 V the simulated speed settles at {settled:.4f} rad/s. The steady "
-            f"speed is $1 slash (N K_m)$ = {found.steady_speed:.4f} rad/(s{NBSP}V). The slope at "
-            f"$t = 0$ is $N K_m slash (R_m J_1)$ = {found.initial_slope:.2f} rad/s².",
+            f"speed is $1 slash (N K_m)$ = {traits.steady_speed:.4f} rad/(s{NBSP}V). The slope at "
+            f"$t = 0$ is $N K_m slash (R_m J_1)$ = {traits.initial_slope:.2f} rad/s².",
             "In steady state nothing accelerates, so torque and current are 0 and $u = u_m$. At "
             "$t = 0$ the chassis is at rest, so there is no back-EMF. The spring is not wound, so "
             "the torque accelerates $J_1$ alone. With a rigid arm the slope would be "
-            f"{found.rigid_slope:.2f} rad/s². Then the arm swings, with poles at {_pole(w)} 1/s.",
-            f"The speed reaches 63 % after {1e3 * found.rise_time:.1f} ms. The equivalent time, "
-            f"the area above the response, is {1e3 * found.equivalent_time:.1f} ms. The time "
+            f"{traits.rigid_slope:.2f} rad/s². Then the arm swings, with poles at {_pole(w)} 1/s.",
+            f"The speed reaches 63 % after {1e3 * traits.rise_time:.1f} ms. The equivalent time, "
+            f"the area above the response, is {1e3 * traits.equivalent_time:.1f} ms. The time "
             f'constant of the slowest pole, $1 slash abs(op("Re") s)$, is '
-            f"{1e3 * found.slowest_time:.1f} ms. In a first-order system these times are equal.",
+            f"{1e3 * traits.slowest_time:.1f} ms. In a first-order system these times are equal.",
         ),
         figures=figure(
             "step",
@@ -109,13 +109,13 @@ def _pole(z: complex) -> str:
 
 
 def _other_parameters(cases: dict[str, ArmParameters]) -> Section:
-    found = {name: characteristics(p) for name, p in cases.items()}
-    first, *changed = found.values()
+    traits = {name: characteristics(p) for name, p in cases.items()}
+    first, *changed = traits.values()
     effects = "; ".join(
         f"{_CHANGE_WORDS.get(name, name)} {_effect(after, first)}"
-        for name, after in zip([*found][1:], changed, strict=True)
+        for name, after in zip([*traits][1:], changed, strict=True)
     )
-    table = Table(
+    table = ReportTable(
         caption="Step response, and poles of the swing, for each set of parameters.",
         header=("parameters", "steady speed [rad/(s V)]", "slope [rad/(s² V)]", "poles [1/s]"),
         rows=tuple(
@@ -125,7 +125,7 @@ def _other_parameters(cases: dict[str, ArmParameters]) -> Section:
                 f"{c.initial_slope:.2f}",
                 _pole(max(c.poles, key=lambda z: z.imag)),
             )
-            for name, c in found.items()
+            for name, c in traits.items()
         ),
     )
     return Section(
@@ -156,7 +156,7 @@ def _effect(after: Characteristics, before: Characteristics) -> str:
     if kept:
         moved.append(f"does not change {' or '.join(kept)}")
     faster = f"moves the swing's poles from {was} to {swing} 1/s"
-    return listed([*moved, faster])
+    return join_names([*moved, faster])
 
 
 _METHOD_TEXTS = {
@@ -177,7 +177,7 @@ _METHOD_TEXTS = {
 def numerical_sections(study: HandoutStudy) -> dict[str, Section]:
     """Return sections 4.1 to 4.4 by number."""
     problem, methods = study.problem, tuple(METHODS.values())
-    speed: dict[str, Any] = {"state": 2, "label": f"{labelled(CHANNELS[0].rate)} [rad/s]"}
+    speed: dict[str, Any] = {"state": 2, "label": f"{symbol_of(CHANNELS[0].rate)} [rad/s]"}
     figures = {
         "4.1": figure(
             "integrators",
@@ -201,7 +201,7 @@ def numerical_sections(study: HandoutStudy) -> dict[str, Section]:
     }
 
 
-def _integrator(study: HandoutStudy, name: str, figures: tuple[Figure, ...]) -> Section:
+def _integrator(study: HandoutStudy, name: str, figures: tuple[ReportFigure, ...]) -> Section:
     problem = study.problem
     limit = stability_limit(problem.A, name)
     (advice,) = (row for row in study.steps.rows if row.method == name)
@@ -223,11 +223,11 @@ def _integrator(study: HandoutStudy, name: str, figures: tuple[Figure, ...]) -> 
     )
 
 
-def _errors(problem: Sinusoid, name: str, steps: Sequence[float], limit: float) -> Table:
+def _errors(problem: Sinusoid, name: str, steps: Sequence[float], limit: float) -> ReportTable:
     """Return a table of the largest error at each step, relative to the states' largest values."""
     errors = [problem.error(h, name) for h in steps]
     marks = [f"{number(1e3 * h)}{'' if h <= limit else ' (unstable)'}" for h in steps]
-    return Table(
+    return ReportTable(
         caption=f"Largest error of a state, over its largest value: {method_named(name).name}.",
         header=("h [ms]", *marks),
         rows=(("largest error", *(power(e) if isfinite(e) else "overflow" for e in errors)),),

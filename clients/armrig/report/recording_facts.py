@@ -70,8 +70,8 @@ def run_facts(r: Recording) -> dict[str, str]:
     """Return the facts about a run by name, as text; "" for a fact that is not known."""
     turns = r.description.channels[0].turns
     hidden = "in the dead band, or just after" if turns else f"without {r.first}"
-    given = r.description.input
-    u = given.value(r.u[np.isfinite(r.u)])
+    signal = r.description.input
+    u = signal.value(r.u[np.isfinite(r.u)])
     facts = {
         "run": run_name(r),
         "experiment": r.manifest.experiment,
@@ -80,7 +80,7 @@ def run_facts(r: Recording) -> dict[str, str]:
         "paced by": "the device" if r.manifest.pacing == "scheduled" else "the host",
         "samples at Ts": f"{r.N} at {milliseconds(r.Ts)}",
         "length": f"{r.N * r.Ts:.1f} s",
-        "input": f"{u.min():.2f} to {u.max():.2f} {given.unit}" if u.size else "",
+        "input": f"{u.min():.2f} to {u.max():.2f} {signal.unit}" if u.size else "",
         "calibrated": calibration_text(r),
         "missing samples": str(r.missing),
         hidden: str(r.hidden),
@@ -106,33 +106,33 @@ def _rows(columns: Iterable[Mapping[str, str]]) -> Rows:
 
 def notes(recordings: Sequence[Recording]) -> list[str]:
     """Return the notes of the recordings: run, time, owner and text."""
-    said = []
+    texts = []
     for recording in recordings:
-        name, found = run_name(recording), recording.notes
-        said += [
-            f"Note of {name} at {n.t:.2f}{NBSP}s, {n.owner}: {n.text}" for n in found[:_MAX_NOTES]
+        name, entries = run_name(recording), recording.notes
+        texts += [
+            f"Note of {name} at {n.t:.2f}{NBSP}s, {n.owner}: {n.text}" for n in entries[:_MAX_NOTES]
         ]
-        if len(found) > _MAX_NOTES:
-            said.append(f"Note of {name}: {plural(len(found) - _MAX_NOTES, 'more note')}")
-    return said
+        if len(entries) > _MAX_NOTES:
+            texts.append(f"Note of {name}: {plural(len(entries) - _MAX_NOTES, 'more note')}")
+    return texts
 
 
-def shared_facts(study: Study) -> list[str]:
+def setup_sentences(study: Study) -> list[str]:
     """Return sentences on the device, the host and the versions of the estimation data."""
     recording = study.recording_of(study.estimation.source)
-    manifest, said = recording.manifest, []
+    manifest, sentences = recording.manifest, []
     if recording.is_imported:
         return [f"Imported by armrig {manifest.armrig}."]
-    for what, facts in (("Device", manifest.device), ("Host", manifest.host)):
-        known = {k: v for k, v in facts.items() if v not in ("", None, [], {})}
+    for heading, facts in (("Device", manifest.device), ("Host", manifest.host)):
+        known_facts = {k: v for k, v in facts.items() if v not in ("", None, [], {})}
         text = ", ".join(
             f"{k} {' and '.join(map(str, v if isinstance(v, list | tuple) else [v]))}"
-            for k, v in known.items()
+            for k, v in known_facts.items()
         )
         if text:
-            said.append(f"{what}: {text}.")
-    said.append(f"Recorded by armrig {manifest.armrig}, protocol {manifest.protocol}.")
-    return said
+            sentences.append(f"{heading}: {text}.")
+    sentences.append(f"Recorded by armrig {manifest.armrig}, protocol {manifest.protocol}.")
+    return sentences
 
 
 def timing_rows(recordings: Sequence[Recording]) -> Rows:
@@ -160,38 +160,40 @@ def _percentiles(spread: Spread) -> str:
 
 def data_text(study: Study) -> str:
     """Return a text on the sources of angles and voltage, and the percentages of missing angles."""
-    given, word = study.recordings[0].description.input, study.input
-    said = [f"The {word} is the applied {word} that the device reports."]
-    if given.is_scaled:
-        said = [
-            f"The {word} is {given.per_volt:g} {given.unit}/V times the applied voltage that the "
-            f"device reports{f', plus {given.offset:g} {given.unit}' if given.offset else ''}."
+    signal, word = study.recordings[0].description.input, study.input
+    sentences = [f"The {word} is the applied {word} that the device reports."]
+    if signal.is_scaled:
+        sentences = [
+            f"The {word} is {signal.per_volt:g} {signal.unit}/V times the applied voltage that the "
+            f"device reports{f', plus {signal.offset:g} {signal.unit}' if signal.offset else ''}."
         ]
     if study.recordings[0].is_imported:
-        said = [f"The data are of another program: {study.recordings[0].description.title}."]
+        sentences = [f"The data are of another program: {study.recordings[0].description.title}."]
     steps = len(study.estimation.history)
     cut = 1 if study.halves else 0  # a split into halves is no treatment
-    for one in each_output(study):
-        y = one.symbol
+    for part in each_output(study):
+        y = part.symbol
         if study.of_arm:
             text = f"{y} is relative to the {CHANNELS[0].body}."
-            if one.integrates:
+            if part.integrates:
                 text = f"{y} is unwrapped from the raw counts. {y} grows without limit, because "
                 text += "the voltage is never negative."
-            said.append(text + " No mean and no trend is removed from this angle." * (steps <= cut))
-        if hidden := 100 * one.estimation.missing / one.estimation.N:
-            said.append(f"{hidden:.1f}{NBSP}% of the estimation data have no {y}.")
-        said += linearity_sentences(one.validation)
+            sentences.append(
+                text + " No mean and no trend is removed from this angle." * (steps <= cut)
+            )
+        if hidden := 100 * part.estimation.missing / part.estimation.N:
+            sentences.append(f"{hidden:.1f}{NBSP}% of the estimation data have no {y}.")
+        sentences += linearity_sentences(part.validation)
     if study.of_arm:
-        said.append(_units(study))
+        sentences.append(_units(study))
     elif not study.recordings[0].is_imported:
-        said.append("The scales of the outputs are those of the rig's description.")
-    return " ".join(said)
+        sentences.append("The scales of the outputs are those of the rig's description.")
+    return " ".join(sentences)
 
 
 def linearity_sentences(data: Dataset) -> list[str]:
     """Return a sentence on the linearity of the validation data; none if they are closed loop."""
-    return [f"Linearity of the validation data: {found.line}." for found in in_open_loop(data)]
+    return [f"Linearity of the validation data: {finding.line}." for finding in in_open_loop(data)]
 
 
 def _units(study: Study) -> str:
@@ -208,21 +210,21 @@ def _units(study: Study) -> str:
             "Results in these units, such as a model's gain, are only as accurate as these values."
         )
     scales = [m.figures[_ANGLE_SCALE] for m in made if _ANGLE_SCALE in m.figures]
-    known = max((s.std / abs(s.value) for s in scales if s.value), default=None)
+    relative_std = max((s.std / abs(s.value) for s in scales if s.value), default=None)
     angle = f"The radian is from the calibration of {plain(' and of '.join(calibrations))}"
-    if known is not None:
-        angle += f", accurate to {percent(100 * known)} (one standard deviation)"
+    if relative_std is not None:
+        angle += f", accurate to {percent(100 * relative_std)} (one standard deviation)"
     volt = "the volt is from a meter at the motor's terminals"
     if not all("driver_gain" in m.figures for m in made):
-        of = (
+        origin = (
             "the converter codes"
             if all(c.driver == Driver() for c in measured)
             else "a configured driver"
         )
-        volt = f"the volt is from {of}: no meter was read at the motor's terminals"
+        volt = f"the volt is from {origin}: no meter was read at the motor's terminals"
     second = CHANNELS[1].name
     scale = ""
-    if any(one.output == second for one in each_output(study)):
+    if any(part.output == second for part in each_output(study)):
         scale = f". The scale of {symbol(second)} is a configured value that was never measured"
     return f"{angle}; {volt}{scale}."
 
@@ -232,7 +234,7 @@ def treatment(study: Study) -> list[str]:
 
     If both datasets had the same treatment, each step is reported once.
     """
-    return list(dict.fromkeys(text for one in each_output(study) for text in _treatment(one)))
+    return list(dict.fromkeys(text for part in each_output(study) for text in _treatment(part)))
 
 
 def _treatment(study: Study) -> Iterator[str]:
@@ -247,23 +249,23 @@ def _treatment(study: Study) -> Iterator[str]:
 
 def _trends(name: str, data: Dataset) -> list[str]:
     """Return a sentence for each experiment, with the means and slopes that `detrend` removed."""
-    said = []
+    sentences = []
     for i, trend in enumerate(data.trends, 1):
         which = f"experiment {i} of {len(data.trends)}" if len(data.trends) > 1 else "the data"
         parts = [
-            _line(what, float(level), float(slope), unit)
-            for what, level, slope, unit in (
+            _line(signal, float(level), float(slope), unit)
+            for signal, level, slope, unit in (
                 (data.input, trend.u_level, trend.u_slope, data.input_unit),
                 (data.output, trend.y_level, trend.y_slope, data.unit),
             )
         ]
-        said.append(f"{name}: {' and '.join(parts)} removed from {which}.")
-    return said
+        sentences.append(f"{name}: {' and '.join(parts)} removed from {which}.")
+    return sentences
 
 
-def _line(what: str, level: float, slope: float, unit: str) -> str:
+def _line(signal: str, level: float, slope: float, unit: str) -> str:
     rising = f" rising by {number(slope)}{NBSP}{unit}/s" if slope else ""
-    return f"{number(level)}{NBSP}{unit} of {what}{rising}"
+    return f"{number(level)}{NBSP}{unit} of {signal}{rising}"
 
 
 def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
@@ -271,15 +273,15 @@ def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
 
     A sentence that holds only for some of the recordings begins with the names of their files.
     """
-    of: dict[Finding, list[str]] = {}
+    files: dict[Finding, list[str]] = {}
     for r in recordings:
-        for found in calibration_doubts(r):
-            of.setdefault(found, []).append(r.path.name)
+        for finding in calibration_doubts(r):
+            files.setdefault(finding, []).append(r.path.name)
     return [
-        found.text
+        finding.text
         if len(names) == len(recordings)
-        else f"{', '.join(names)}: {found.text[0].lower()}{found.text[1:]}"
-        for found, names in of.items()
+        else f"{', '.join(names)}: {finding.text[0].lower()}{finding.text[1:]}"
+        for finding, names in files.items()
     ]
 
 
@@ -289,12 +291,12 @@ def jitter_verdicts(study: Study) -> Iterator[str]:
     if not timing.std_us > 0:  # NaN without times of a device
         return
     moved: list[str] = []
-    for one in each_output(study):
-        data = one.validation
+    for part in each_output(study):
+        data = part.validation
         rate = f"at {number(fastest_rate(data))} {data.unit}/s"
         rate += "" if moved else ", the rate that 99 % of the data do not exceed,"
         by = error(angle_of_jitter(timing, data), data.unit)
-        moved.append(f"{rate} this jitter moves {one.symbol} by {by}")
+        moved.append(f"{rate} this jitter moves {part.symbol} by {by}")
     yield (
         "The sampling interval of the validation data has a standard deviation of "
         f"{microseconds(timing.std_us)}. A{'; '.join(moved)[1:]}. The jitter affects both the "

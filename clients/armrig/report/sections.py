@@ -11,7 +11,7 @@ Draw = Callable[..., object]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
+class ReportTable:
     """Table of texts, with a heading for each column."""
 
     caption: str
@@ -27,7 +27,7 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class ReportFigure:
     """Figure, which is drawn into a file next to the template."""
 
     name: str
@@ -47,9 +47,9 @@ class Figure:
 
 def figure(
     name: str, caption: str, height: float, *draws: Draw, floats: bool = True
-) -> tuple[Figure]:
+) -> tuple[ReportFigure]:
     """Return the figures of a section with one figure."""
-    return (Figure(name, caption, height, draws, floats),)
+    return (ReportFigure(name, caption, height, draws, floats),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,10 +73,10 @@ class Section:
 
     Texts of others, such as the name of a run, must pass `plain`.
     """
-    tables: tuple[Table, ...] = ()
+    tables: tuple[ReportTable, ...] = ()
     side_by_side: bool = False
     """True if a row has two tables."""
-    figures: tuple[Figure, ...] = ()
+    figures: tuple[ReportFigure, ...] = ()
     points: tuple[str, ...] = ()
     """List of texts without formulas and references."""
     asks: str = ""
@@ -113,7 +113,9 @@ class Contents:
     sections: tuple[Section, ...]
 
 
-def numbered(sections: Iterable[Section], appendix: Iterable[Section]) -> tuple[Section, ...]:
+def number_sections(
+    sections: Iterable[Section], appendix: Iterable[Section]
+) -> tuple[Section, ...]:
     """Return sections with the numbers 1, 2, …, then those of the appendix: A, B, …."""
     return (
         *(replace(s, number=str(k)) for k, s in enumerate(sections, 1)),

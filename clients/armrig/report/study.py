@@ -179,8 +179,8 @@ def best_first(study: Study) -> Study:
     """Return the study with its models in the order of `ranked`: the first line is widest."""
     order = [m.name for m in study.ranked]
     first, *others = (
-        replace(one, estimated=tuple(sorted(one.estimated, key=lambda m: order.index(m.name))))
-        for one in each_output(study)
+        replace(part, estimated=tuple(sorted(part.estimated, key=lambda m: order.index(m.name))))
+        for part in each_output(study)
     )
     return replace(first, others=tuple(others))
 
@@ -238,36 +238,42 @@ def study(
             "nothing to identify from: give a recording whose input is not a single step, such as "
             "a recording of `armrig collect blackbox`"
         )
-    outputs, known = outputs or (excited[0].first,), [*excited[0].channels]
-    if len({*outputs} & {*known}) < len(outputs):
+    outputs, channels = outputs or (excited[0].first,), [*excited[0].channels]
+    if len({*outputs} & {*channels}) < len(outputs):
         raise InputError(
-            f"{', '.join(outputs)}: the models of a report have the output {' or '.join(known)}"
-            f"{', or both' * (len(known) > 1)}; `armrig identify` takes the others"
+            f"{', '.join(outputs)}: the models of a report have the output {' or '.join(channels)}"
+            f"{', or both' * (len(channels) > 1)}; `armrig identify` takes the others"
         )
     several, of_arm = len(outputs) > 1, bool(excited[0].description.arm)
     read = [r.signals(outputs) if several else r.dataset(outputs[0]) for r in excited[:2]]
-    data: list[Any] = [*read] if treat is None else [treat(one) for one in read]
+    data: list[Any] = [*read] if treat is None else [treat(dataset) for dataset in read]
     if several and not of_arm:
-        data = [detrend(one) for one in data]
+        data = [detrend(dataset) for dataset in data]
     estimation, validation = data if len(data) > 1 else data[0].split(2)
     each = [
-        [one.dataset(name) for name in one.outputs] if isinstance(one, Signals) else [one]
-        for one in (estimation, validation)
+        [dataset.dataset(name) for name in dataset.outputs]
+        if isinstance(dataset, Signals)
+        else [dataset]
+        for dataset in (estimation, validation)
     ]
     orders, doubt = orders or Orders(), ""
     if not of_arm:  # the arm integrates; the data show whether another rig does
         try:
-            found = _recommended(each[0])
+            defaults = _suggest_orders(each[0])
         except InputError as err:
-            ramp = any(integration(one, None).integrates for one in each[0])
-            found = Orders(na=2, nb=2, nf=2, integrator=ramp)
+            ramp = any(integration(dataset, None).integrates for dataset in each[0])
+            defaults = Orders(na=2, nb=2, nf=2, integrator=ramp)
             doubt = f"The data do not show the orders: {err}. The models have two poles."
-        orders = found if orders == Orders() else replace(orders, integrator=found.integrator)
-    for one in each[0]:
-        own = orders.of(one.output)
-        size: dict[str, Any] = {"samples": one.N - one.missing, "nk": own.nk, "nb": own.nb}
-        require_sensible(na=own.na, **size)
-        require_sensible(**size, nf=own.nf, integrator=own.integrator)
+        orders = defaults if orders == Orders() else replace(orders, integrator=defaults.integrator)
+    for dataset in each[0]:
+        order = orders.of(dataset.output)
+        size: dict[str, Any] = {
+            "samples": dataset.N - dataset.missing,
+            "nk": order.nk,
+            "nb": order.nb,
+        }
+        require_sensible(na=order.na, **size)
+        require_sensible(**size, nf=order.nf, integrator=order.integrator)
     fits = _fits(estimation, orders, of_arm=of_arm)
     halves = len(excited) == 1
     return study_of_fits(recordings, estimation, validation, fits, halves=halves, doubt=doubt)
@@ -277,7 +283,7 @@ def study_of_fits(
     recordings: Sequence[Recording],
     estimation: Dataset | Signals,
     validation: Dataset | Signals,
-    whole: Mapping[str, Fit],
+    models: Mapping[str, Fit],
     *,
     halves: bool,
     doubt: str = "",
@@ -288,39 +294,44 @@ def study_of_fits(
     """
     tests = dict[str, ResidualTest]()
     each = [
-        [one.dataset(name) for name in one.outputs] if isinstance(one, Signals) else [one]
-        for one in (estimation, validation)
+        [dataset.dataset(name) for name in dataset.outputs]
+        if isinstance(dataset, Signals)
+        else [dataset]
+        for dataset in (estimation, validation)
     ]
-    fits = [whole]
+    fits = [models]
     if isinstance(estimation, Signals):
-        tests = {name: residuals(fit, validation) for name, fit in whole.items()}
+        tests = {name: residuals(fit, validation) for name, fit in models.items()}
         fits = [
-            {name: replace(fit[one.output], digest=one.digest) for name, fit in whole.items()}
-            for one in each[0]
+            {
+                name: replace(fit[dataset.output], digest=dataset.digest)
+                for name, fit in models.items()
+            }
+            for dataset in each[0]
         ]
     shared: dict[str, Any] = {"recordings": tuple(recordings), "halves": halves, "doubt": doubt}
     excited = [r for r in recordings if r.manifest.kind not in NO_MODEL] or recordings
     has_arm = all(r.description.arm and second_moves(r) for r in excited[:2])
-    physics = [physical_model(ArmParameters(), one) if has_arm else None for one in each[0]]
+    physics = [physical_model(ArmParameters(), dataset) if has_arm else None for dataset in each[0]]
     first, *others = (
         Study(
             estimation=ours,
             validation=theirs,
             **shared,
-            **assessed(found, reference, theirs, tests),
+            **assess_fits(channel_fits, reference, theirs, tests),
         )
-        for found, reference, ours, theirs in zip(fits, physics, *each, strict=True)
+        for channel_fits, reference, ours, theirs in zip(fits, physics, *each, strict=True)
     )
     return replace(first, others=tuple(others))
 
 
-def _recommended(data: Sequence[Dataset]) -> Orders:
+def _suggest_orders(data: Sequence[Dataset]) -> Orders:
     """Return the orders of an OE model that the data of all outputs suggest."""
-    hints = [structure_hints(one) for one in data]
-    nb, nf = (max(getattr(found, name) for found in hints) for name in ("nb", "nf"))
-    integrator = any(found.integrator for found in hints)
+    hints = [structure_hints(dataset) for dataset in data]
+    nb, nf = (max(getattr(hint, name) for hint in hints) for name in ("nb", "nf"))
+    integrator = any(hint.integrator for hint in hints)
     form = hints[0].process if len(hints) == 1 else ""
-    nk = min(found.nk for found in hints)
+    nk = min(hint.nk for hint in hints)
     return Orders(na=nf, nb=nb, nf=nf, nk=nk, integrator=integrator, form=form)
 
 
@@ -329,25 +340,25 @@ def _fits(data: Dataset | Signals, orders: Orders, *, of_arm: bool) -> dict[str,
     outputs = data.signals().outputs
     each = [orders.of(name) for name in outputs]
     first = each[0]
-    how: dict[str, Any] = {"nb": [[own.nb] for own in each], "nk": orders.nk}
+    how: dict[str, Any] = {"nb": [[order.nb] for order in each], "nk": orders.nk}
     if len(each) == 1 and not of_arm:  # the level of y at u = 0 need not be 0
         how |= {"integrator": first.integrator, "offset": not first.integrator}
-        found = {"ARMAX": armax(data, na=first.na, nc=first.na, **how)}
-        found["OE"] = oe(data, nf=first.nf, **how)
+        fits = {"ARMAX": armax(data, na=first.na, nc=first.na, **how)}
+        fits["OE"] = oe(data, nf=first.nf, **how)
         if first.form:
             with suppress(InputError):  # such as a pole that is too fast for Ts
-                found[first.form] = process(data, first.form, offset=how["offset"])
-        return found
+                fits[first.form] = process(data, first.form, offset=how["offset"])
+        return fits
     # A is diagonal: each output depends on its own past only, as in the model of one output.
-    found = {"ARX": arx(data, na=np.diag([own.na for own in each]), **how)}
+    fits = {"ARX": arx(data, na=np.diag([order.na for order in each]), **how)}
     if len(each) == 1:
-        return found | {"OE": oe(data, nf=first.nf, integrator=first.integrator, **how)}
-    integrating = [name for name, own in zip(outputs, each, strict=True) if own.integrator]
+        return fits | {"OE": oe(data, nf=first.nf, integrator=first.integrator, **how)}
+    integrating = [name for name, order in zip(outputs, each, strict=True) if order.integrator]
     nf = orders.nf - bool(integrating)
-    return found | {"OE": oe(data, nf=nf, integrator=integrating, shared="denominator", **how)}
+    return fits | {"OE": oe(data, nf=nf, integrator=integrating, shared="denominator", **how)}
 
 
-def assessed(
+def assess_fits(
     fits: Mapping[str, Fit],
     physics: Fit | None,
     validation: Dataset,

@@ -14,13 +14,21 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.nonparametric.spectral import spectral_reference
 from armrig.models.characteristics import integrates
 from armrig.models.equation import typst_form
-from armrig.numerics.quantities import digits, error, listed, percent
+from armrig.numerics.quantities import digits, error, join_names, percent
 from armrig.recordings.figures import varying_times
 from armrig.recordings.usability import emulation, warnings_of
 from armrig.report import model_facts, recording_facts
 from armrig.report.figures import detail_s, plot_velocity
 from armrig.report.recording_facts import run_name, without_turns
-from armrig.report.sections import Contents, Draw, Figure, Section, Table, figure, numbered
+from armrig.report.sections import (
+    Contents,
+    Draw,
+    ReportFigure,
+    ReportTable,
+    Section,
+    figure,
+    number_sections,
+)
 from armrig.report.study import OUTPUTS, AssessedFit, Study, each_output
 from armrig.validation.comparison import compare
 
@@ -45,7 +53,7 @@ def study_contents(study: Study, remarks: Sequence[str]) -> Contents:
             paragraphs=(model_facts.abstract(study),),
             points=(*emulation(study.recordings), *remarks, *truncated),
         ),
-        sections=numbered(
+        sections=number_sections(
             (results(study), data(study), models(study), validation(study), physics(study)),
             appendix=(recordings(study), *([] if recording.is_imported else [sampling(study)])),
         ),
@@ -56,7 +64,7 @@ def results(study: Study) -> Section:
     """Return the section with the models' fits and the conclusions."""
     first, *others = _figures(study, "compare")
     velocity = _with_velocity(study)
-    table = Table(
+    table = ReportTable(
         name="fits",
         caption=f"Simulation of the validation data (recording {_run(study.validation, study)}"
         f"). {study.note[0].upper()}{study.note[1:]}.",
@@ -65,7 +73,7 @@ def results(study: Study) -> Section:
             *("model", f"fit{' of the angle' * study.of_arm}", "rms error"),
             *(["fit of the velocity"] if velocity else []),
         ),
-        rows=tuple(row for one in each_output(study) for row in _fit_rows(one, study)),
+        rows=tuple(row for part in each_output(study) for row in _fit_rows(part, study)),
     )
     return Section(
         title="Results",
@@ -83,20 +91,20 @@ def data(study: Study) -> Section:
     """Return the section on the data, and on their treatment."""
     steps = [r for r in study.recordings if r.manifest.kind == "step"]
     treated = recording_facts.treatment(study)
-    shown = f"{_shows(study, 'data')} the data for the models"
-    step: tuple[Figure, ...] = ()
+    sentence = f"{_shows(study, 'data')} the data for the models"
+    step: tuple[ReportFigure, ...] = ()
     if steps:
-        shown += ", <step> the step"
-        of = OUTPUTS.get(steps[0].first, steps[0].first)
-        of = f"{of[0].upper()}{of[1:]}" if study.of_arm else of  # a symbol keeps its case
+        sentence += ", <step> the step"
+        name = OUTPUTS.get(steps[0].first, steps[0].first)
+        name = f"{name[0].upper()}{name[1:]}" if study.of_arm else name  # a symbol keeps its case
         motor = "motor's " * study.of_arm
-        caption = f"(a) {of} after a step of the {motor}{study.input}; (b) "
+        caption = f"(a) {name} after a step of the {motor}{study.input}; (b) "
         caption += f"the {study.input}; recording {run_name(steps[0])}."
         step = figure("step", caption, 2.0, partial(plots.plot_data, steps[0]))
     return Section(
         title="Data",
         paragraphs=(
-            f"{recording_facts.data_text(study)} {shown}. Samples in a shaded area have no "
+            f"{recording_facts.data_text(study)} {sentence}. Samples in a shaded area have no "
             f"{_quantity(study)}. Appendix A describes the recordings.",
             *(["The data were treated in the order of the list."] if treated else []),
         ),
@@ -119,9 +127,9 @@ def models(study: Study) -> Section:
             model_facts.structure(study),
         ),
         tables=tuple(
-            model_facts.model_table(m, one, study)
-            for one in each_output(study)
-            for m in one.estimated
+            model_facts.model_table(m, part, study)
+            for part in each_output(study)
+            for m in part.estimated
         ),
         side_by_side=True,
         points=tuple(model_facts.estimations(study)),
@@ -130,7 +138,7 @@ def models(study: Study) -> Section:
 
 def validation(study: Study) -> Section:
     """Return the section on the simulation and on the tests of the residuals."""
-    table = Table(
+    table = ReportTable(
         name="tests",
         caption="Tests of the one-step residuals on the validation data (recording "
         f"{_run(study.validation, study)}). The tests allow for the uncertainty of the "
@@ -170,7 +178,7 @@ def physics(study: Study) -> Section:
 
 def recordings(study: Study) -> Section:
     """Return the section with the facts about the recordings, their files and their notes."""
-    table = Table(
+    table = ReportTable(
         caption="The recordings. Figures name a recording by its run.",
         header=_roles(study),
         rows=recording_facts.facts(study),
@@ -184,7 +192,7 @@ def recordings(study: Study) -> Section:
                 f"{recording_facts.role(study, r)}: `{r.path.name}`, SHA-256 `{r.sha256}`"
                 for r in study.recordings
             ),
-            *recording_facts.shared_facts(study),
+            *recording_facts.setup_sentences(study),
             *recording_facts.notes(study.recordings),
             f"Report by armrig {version('armrig')}.",
         ),
@@ -193,7 +201,7 @@ def recordings(study: Study) -> Section:
 
 def sampling(study: Study) -> Section:
     """Return the section on the sampling times."""
-    table = Table(
+    table = ReportTable(
         caption="Sampling time and jitter. An interval is the time between two consecutive samples "
         "on the device's clock. Lateness is the time from a sample's deadline to the host's "
         "request for the sample. If the device paced the run, lateness ends with the arrival of "
@@ -214,8 +222,8 @@ def sampling(study: Study) -> Section:
         2.2,
         *(partial(plots.plot_timing, recording, quantity=quantity) for quantity in varying),
     )
-    shown = ("<timing> shows the distributions.",)
-    return Section(title="Sampling time", paragraphs=shown, tables=(table,), figures=timing)
+    paragraphs = ("<timing> shows the distributions.",)
+    return Section(title="Sampling time", paragraphs=paragraphs, tables=(table,), figures=timing)
 
 
 def _roles(study: Study) -> tuple[str, ...]:
@@ -227,7 +235,7 @@ def _run(data: Dataset, study: Study) -> str:
 
 
 def _with_velocity(study: Study) -> bool:
-    return any(one.models[0].velocity_fit_percent is not None for one in each_output(study))
+    return any(part.models[0].velocity_fit_percent is not None for part in each_output(study))
 
 
 def _quantity(study: Study) -> str:
@@ -235,83 +243,86 @@ def _quantity(study: Study) -> str:
     return "angle" if study.of_arm else "value"
 
 
-def _fit_rows(one: Study, study: Study) -> Iterator[tuple[str, ...]]:
+def _fit_rows(part: Study, study: Study) -> Iterator[tuple[str, ...]]:
     """Yield a row for each model: its fits and its rms error for one output."""
-    for k, row in enumerate(one.models):
+    for k, row in enumerate(part.models):
         velocity = "–" if row.velocity_fit_percent is None else percent(row.velocity_fit_percent)
         yield (
-            *([one.symbol if k == 0 else ""] if study.others else []),
+            *([part.symbol if k == 0 else ""] if study.others else []),
             row.name,
             percent(row.fit_percent),
-            error(row.rms_error, one.validation.unit),
+            error(row.rms_error, part.validation.unit),
             *([velocity] if _with_velocity(study) else []),
         )
 
 
 def _references(study: Study, name: str, *before: str) -> str:
-    return listed([*before, *(f"<{name}{_suffix(one, study)}>" for one in each_output(study))])
+    return join_names(
+        [*before, *(f"<{name}{_suffix(part, study)}>" for part in each_output(study))]
+    )
 
 
 def _shows(study: Study, name: str) -> str:
     return f"{_references(study, name)} {'show' if study.others else 'shows'}"
 
 
-def _figures(study: Study, name: str) -> tuple[Figure, ...]:
+def _figures(study: Study, name: str) -> tuple[ReportFigure, ...]:
     """Return the figure `name` of each output."""
     return tuple(
-        Figure(f"{name}{_suffix(one, study)}", *_drawings(one)[name]) for one in each_output(study)
+        ReportFigure(f"{name}{_suffix(part, study)}", *_drawings(part)[name])
+        for part in each_output(study)
     )
 
 
-def _suffix(one: Study, study: Study) -> str:
+def _suffix(part: Study, study: Study) -> str:
     """Return the suffix in the names of an output's figures; "" for the first output."""
-    return "" if one is study else f"-{one.output}"
+    return "" if part is study else f"-{part.output}"
 
 
-def _drawings(one: Study) -> dict[str, tuple[str, float, tuple[Draw, ...]]]:
+def _drawings(part: Study) -> dict[str, tuple[str, float, tuple[Draw, ...]]]:
     """Return the caption, the height and the panels of each figure of one output."""
-    estimation, validation = (_run(data, one) for data in (one.estimation, one.validation))
-    marks = ascii_lowercase[: 2 * len(one.estimated)]
-    halves = ", the first and the second half of one recording" if one.halves else ""
-    angle, ramp = one.angle, without_turns(one.validation)
-    the = f"the {angle}" if one.of_arm else angle
-    turns = " with its turns counted" if one.integrates else ""
-    detail = f"rate of {the}, from differences" if one.integrates else angle
-    drawn = [f"{angle}{turns}{without_turns(data)}" for data in (one.estimation, one.validation)]
+    estimation, validation = (_run(data, part) for data in (part.estimation, part.validation))
+    marks = ascii_lowercase[: 2 * len(part.estimated)]
+    halves = ", the first and the second half of one recording" if part.halves else ""
+    angle, ramp = part.angle, without_turns(part.validation)
+    the = f"the {angle}" if part.of_arm else angle
+    turns = " with its turns counted" if part.integrates else ""
+    detail = f"rate of {the}, from differences" if part.integrates else angle
+    drawn = [f"{angle}{turns}{without_turns(data)}" for data in (part.estimation, part.validation)]
     angles = f"(a, c) {drawn[0]}" if drawn[0] == drawn[1] else f"(a) {drawn[0]}; (c) {drawn[1]}"
-    rate = "Rate" if all(integrates(m.model) for m in one.models) else "Response"
-    fits, names = [m.model for m in one.models], [m.name for m in one.models]
-    own = len(one.estimated)
-    unit = one.estimation.input_unit or "unit"
-    played = "" if one.recordings[0].is_imported else " that the device applied"
+    rate = "Rate" if all(integrates(m.model) for m in part.models) else "Response"
+    fits, names = [m.model for m in part.models], [m.name for m in part.models]
+    count = len(part.estimated)
+    unit = part.estimation.input_unit or "unit"
+    played = "" if part.recordings[0].is_imported else " that the device applied"
     return {
         "data": (
             f"Estimation data (a, b; recording {estimation}) and validation data (c, d; "
-            f"recording {validation}){halves}: {angles}; (b, d) {one.input}{played}. "
-            f"Shaded: {'dead band or ' * one.of_arm}missing sample.",
+            f"recording {validation}){halves}: {angles}; (b, d) {part.input}{played}. "
+            f"Shaded: {'dead band or ' * part.of_arm}missing sample.",
             2.4,
-            tuple(partial(plots.plot_data, data) for data in (one.estimation, one.validation)),
+            tuple(partial(plots.plot_data, data) for data in (part.estimation, part.validation)),
         ),
         "compare": (
             f"(a) Measured and simulated {angle} of the validation data (recording "
             f"{validation}){ramp}; (b) data (dots) and models, minus the best model. If a model "
             "has a much larger error, the scale is logarithmic beyond the dotted lines.",
             3.0,
-            (compare(one.validation, *fits[:own], labels=names[:own]).plot,),
+            (compare(part.validation, *fits[:count], labels=names[:count]).plot,),
         ),
         "velocity": (
-            f"Detail of {digits(detail_s(one.validation), 3)} s: {detail} (recording "
+            f"Detail of {digits(detail_s(part.validation), 3)} s: {detail} (recording "
             f"{validation}). The simulation of the models starts at the beginning of the data.",
             2.0,
-            (partial(plot_velocity, one),),
+            (partial(plot_velocity, part),),
         ),
         "bode": (
-            f"Frequency response from {one.input} to {angle}, (a) magnitude and (b) phase, with "
+            f"Frequency response from {part.input} to {angle}, (a) magnitude and (b) phase, with "
             "95 % bands. A band is linearised or, if a linearisation is poor, sampled from the "
             "covariance of the parameters. Dots: spectral analysis of the estimation data with "
             f"95 % bars. Recording {estimation}.",
             3.4,
-            (partial(_plot_bode, one),),
+            (partial(_plot_bode, part),),
         ),
         "step_poles": (
             f"(a) {rate} of {the} after a step of 1 {unit}, with 95 % bands; (b) poles (×) and "
@@ -328,15 +339,15 @@ def _drawings(one: Study) -> dict[str, tuple[str, float, tuple[Draw, ...]]]:
             f"Correlation of the residuals of {the} with themselves ({', '.join(marks[::2])}) and "
             f"with the input ({', '.join(marks[1::2])}) on recording {validation}. Grey: range of "
             "99 % of the values if the hypothesis is true.",
-            4.4 if own == 3 else 3.4 * -(-own // 2),
-            tuple(partial(_plot_residuals, m) for m in one.estimated),
+            4.4 if count == 3 else 3.4 * -(-count // 2),
+            tuple(partial(_plot_residuals, m) for m in part.estimated),
         ),
     }
 
 
-def _plot_bode(one: Study, *, ax: Axes) -> None:
-    names = [*(m.name for m in one.models), "spectral analysis, 95 %"]
-    models = *(m.model for m in one.models), spectral_reference(one.estimation)
+def _plot_bode(part: Study, *, ax: Axes) -> None:
+    names = [*(m.name for m in part.models), "spectral analysis, 95 %"]
+    models = *(m.model for m in part.models), spectral_reference(part.estimation)
     plots.plot_bode(*models, labels=names, ax=ax)
 
 

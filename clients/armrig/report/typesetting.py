@@ -19,7 +19,7 @@ from armrig_core.errors import OperationError
 from armrig_core.process.printable import printable_texts, with_degrees
 
 from armrig.recordings.recording import Recording
-from armrig.report.sections import Contents, Figure
+from armrig.report.sections import Contents, ReportFigure
 
 Places = list[tuple[str, float]]
 """Name and start of each section. A start of 2.3 is on page 2, below 30 % of the page."""
@@ -27,15 +27,15 @@ TEMPLATE, _VALUES = "report.typ", "data.json"
 _UNKNOWN_DATE = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-def recorded(recordings: Iterable[Recording]) -> datetime:
+def latest_start(recordings: Iterable[Recording]) -> datetime:
     """Return the start time of the newest recording; 1970 if none has a start time in UTC.
 
     This time is the date of a report, so that a report of the same recordings has the same bytes.
     """
-    return max((_started(r) for r in recordings), default=_UNKNOWN_DATE)
+    return max((_start_time(r) for r in recordings), default=_UNKNOWN_DATE)
 
 
-def _started(recording: Recording) -> datetime:
+def _start_time(recording: Recording) -> datetime:
     try:
         started = datetime.fromisoformat(recording.manifest.started)
         return started.replace(tzinfo=started.tzinfo or UTC).astimezone(UTC)
@@ -57,12 +57,12 @@ def typeset(root: Path, contents: Contents, made: datetime) -> tuple[bytes, Plac
     (root / _VALUES).write_text(data, encoding="utf-8")
     text = resources.files("armrig.report").joinpath(TEMPLATE).read_text(encoding="utf-8")
     (root / TEMPLATE).write_text(text, encoding="utf-8")
-    return compiled(root / TEMPLATE)
+    return compile_pdf(root / TEMPLATE)
 
 
 def _values(part: Any) -> dict[str, Any]:
     """Return the fields of a part of a report that the template reads."""
-    drawing = ("height", "draws") if isinstance(part, Figure) else ()
+    drawing = ("height", "draws") if isinstance(part, ReportFigure) else ()
     return {f.name: getattr(part, f.name) for f in fields(part) if f.name not in drawing}
 
 
@@ -90,7 +90,7 @@ def source_folder(folder: Path | None) -> Iterator[Path]:
     yield folder
 
 
-def compiled(source: Path) -> tuple[bytes, Places]:
+def compile_pdf(source: Path) -> tuple[bytes, Places]:
     """Compile a Typst file, which can read only the files in its folder.
 
     Returns the PDF and the starts of its sections.

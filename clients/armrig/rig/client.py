@@ -27,8 +27,8 @@ from armrig.rig.replies import (
     Progress,
     RefusedError,
     complete_recording,
+    refusal_error,
     refusal_of,
-    refused,
     reply_of,
     this_user,
 )
@@ -37,7 +37,7 @@ from armrig.rig.session import (
     NoReplyError,
     RigError,
     ServiceStoppedError,
-    configured_endpoint,
+    client_endpoint,
     no_daemon,
     no_reply,
     not_permitted,
@@ -119,7 +119,7 @@ class Rig:
         certificate: str | Path | None = None,
     ) -> None:
         self.rig = topics.check_rig_id(rig)
-        self.endpoint = connect or configured_endpoint(rig)
+        self.endpoint = connect or client_endpoint(rig)
         self._connect = connect
         self._certificate = certificate
         self._name = ""  # name in the certificate, which the keys of commands contain
@@ -204,7 +204,7 @@ class Rig:
         every = 1
         if Ts is not None and Ts > _SHORT_S:
             every = commands.samples_of(Ts, self.status().described.longest_sample_s)
-        asked = commands.Arm(owner=owner, Ts=None if Ts is None else Ts / every)
+        asked = commands.ArmRequest(owner=owner, Ts=None if Ts is None else Ts / every)
         granted = self._ask_again(asked, commands.LeaseGranted)
         self._lease, self._n, self._owner, self.every = granted.lease, 0, owner, every
         # The reply came after the daemon read its clock: an order is rather refused than late.
@@ -224,7 +224,7 @@ class Rig:
         accepted: Callable[[commands.RunAccepted], None] | None = None,
         progress: Progress | None = None,
         tell: Callable[[str], None] | None = None,
-        **own: ArrayLike,
+        **values: ArrayLike,
     ) -> Path:
         """Play `u`, wait until the run is recorded, and return the recording's path.
 
@@ -260,7 +260,7 @@ class Rig:
             link, and when the rig answers again. Until the dead-man's time is over, the client
             tries to reach the rig.
 
-        **own : array_like, shape (N,)
+        **values : array_like, shape (N,)
             Values of the input in its own unit, by its name instead of u, as for `set`.
 
         Returns
@@ -295,8 +295,8 @@ class Rig:
         if commands.EVERY in (details or {}):
             raise InputError(f"details: {commands.EVERY!r} is the name of the samples per voltage")
         made = {commands.EVERY: self.every} if self.every > 1 else {}
-        voltage = self._allowed(u, own).repeat(self.every)
-        request = commands.Run(
+        voltage = self._volts(u, values).repeat(self.every)
+        request = commands.RunRequest(
             **self._stamp(REPLY_S + self._sending_s(voltage.size)),
             u=voltage.tolist(),
             pacing=pacing,
@@ -378,7 +378,7 @@ class Rig:
         if r.ndim != 1 or r.size == 0:
             raise InputError(f"reference has shape {r.shape}, it must be (N,) with N >= 1")
         law.check_reference(r.tolist())
-        request = commands.Control(
+        request = commands.ControlRequest(
             **self._stamp(REPLY_S + self._sending_s(r.size)),
             law=law,
             reference=r.tolist(),
@@ -448,13 +448,13 @@ class Rig:
         def begin() -> Callable[[], commands.LastRun]:
             self.arm(this_user() or "armrig", Ts)
             stamp = self._stamp(REPLY_S + self._sending_s(N))
-            request = commands.Control(**stamp, reference=values)
+            request = commands.ControlRequest(**stamp, reference=values)
             run = self._wait_for_beginning(request, N)
 
             def end() -> commands.LastRun:
                 self._lease = ""
                 options = commands.RunOptions(**stamp)  # `set` has its own dead-man: the lease
-                self.last_run = self._finished(options, N, run, lambda *_: None, lambda _: None)
+                self.last_run = self._wait_for_end(options, N, run, lambda *_: None, lambda _: None)
                 return self.last_run
 
             return end
@@ -463,7 +463,7 @@ class Rig:
 
     def _play(
         self,
-        request: commands.Run | commands.Control,
+        request: commands.RunRequest | commands.ControlRequest,
         samples: int,
         accepted: Callable[[commands.RunAccepted], None] | None,
         progress: Progress | None,
@@ -476,7 +476,7 @@ class Rig:
             if accepted is not None:
                 accepted(run)
             progress, tell = progress or (lambda done, total: None), tell or (lambda sentence: None)
-            last = self._finished(request, samples, run, progress, tell)
+            last = self._wait_for_end(request, samples, run, progress, tell)
             self.last_run = last
         except BaseException as err:
             if run is None and isinstance(err, RefusedError):
@@ -493,7 +493,7 @@ class Rig:
     ) -> commands.RunAccepted:
         """Send a run, and wait until it begins; the daemon gets a sign of life each second."""
         (key, payload), replies = self._query(request), _Replies()
-        self._connected().get(
+        self._require_session().get(
             key,
             handler=replies.handler,
             payload=payload,
@@ -502,18 +502,18 @@ class Rig:
         )
         ends_s = time.monotonic() + _PREPARATION_S
         sign_s = _SIGN_S + self._sending_s(samples)
-        while (found := replies.wait(sign_s)) is None:
+        while (reply := replies.wait(sign_s)) is None:
             sign_s = _SIGN_S
             stamp = self._stamp(min(REPLY_S, ends_s - time.monotonic()))
             with suppress(RefusedError):  # the run has just begun
                 self._ask(commands.Renew(**stamp), commands.Done)
-        return self._read(request.name, found, commands.RunAccepted)
+        return self._read(request.name, reply, commands.RunAccepted)
 
     def _sending_s(self, samples: int) -> float:
         """Return the time to wait for a run on its way, during which nothing else may arrive."""
         return samples * (_REMOTE_SAMPLE_S if self._name else _SAMPLE_S)
 
-    def _finished(
+    def _wait_for_end(
         self,
         request: commands.RunOptions,
         samples: int,
@@ -527,10 +527,10 @@ class Rig:
             # If other clients send many commands, the daemon may refuse this request. The run
             # continues. The next sign of life must not wait, so each request is sent only once.
             with suppress(BusyError):
-                what = (
+                message = (
                     f"rig {self.rig}: link lost after {done} or more of {plural(samples, 'sample')}"
                 )
-                status = self._status_over_link(what, until_s, tell)
+                status = self._status_over_link(message, until_s, tell)
                 wait_s = _POLL_INTERVAL_S
                 last = status.last_run
                 if last is None or last.run_id != run.run_id:
@@ -585,14 +585,14 @@ class Rig:
                 return status
             time.sleep(_POLL_INTERVAL_S)
 
-    def set(self, u: float | None = None, **own: float) -> None:
+    def set(self, u: float | None = None, **values: float) -> None:
         """Hold a voltage until the next `set`, for at most the time `period_s` that `arm` returned.
 
         Parameters
         ----------
         u : float, optional
             Voltage at the pin in V, inside the limits that `arm` returned.
-        **own : float
+        **values : float
             Value of the input in its own unit, by its name in the rig's description instead of u:
             ``rig.set(power=60)``. A rig whose rest is not 0 V takes only this value.
 
@@ -614,9 +614,9 @@ class Rig:
         >>> print(f"{sample.u_applied_v:.1f} V")
         2.0 V
         """
-        given = None if u is None else [u]
-        (volts,) = self._allowed(given, {name: [value] for name, value in own.items()})
-        self._ask(commands.Set(**self._stamp(), u=float(volts)), commands.Done)
+        voltages = None if u is None else [u]
+        (volts,) = self._volts(voltages, {name: [value] for name, value in values.items()})
+        self._ask(commands.SetRequest(**self._stamp(), u=float(volts)), commands.Done)
 
     def set_reference(self, r: float) -> None:
         """Let the current run under a law follow another reference from the next sample on.
@@ -652,7 +652,7 @@ class Rig:
         >>> armrig.load(path).r[[1, -1]]
         array([3., 1.])
         """
-        self._ask(commands.SetReference(**self._stamp(), r=float(r)), commands.Done)
+        self._ask(commands.SetReferenceRequest(**self._stamp(), r=float(r)), commands.Done)
 
     def stop(self, by: str = "") -> None:
         """Set the motor to 0 V and end every run; no lease is needed.
@@ -681,10 +681,10 @@ class Rig:
         """
         who = by or self._owner or this_user()
         try:
-            reply = self._ask(commands.Stop(by=who), commands.Done)
+            reply = self._ask(commands.StopRequest(by=who), commands.Done)
         except RefusedError:
             # A name must not prevent a stop, for example if the command is too long.
-            reply = self._ask(commands.Stop(), commands.Done)
+            reply = self._ask(commands.StopRequest(), commands.Done)
         if not reply.done:
             raise no_daemon(
                 self.rig, self.endpoint, "the answer to 'stop' does not confirm the stop"
@@ -724,7 +724,7 @@ class Rig:
         ['the lamp is on']
         """
         commands.check_note(text)  # a network drops a long message without an answer
-        request = commands.Note(text=text, owner=(owner or self._owner or this_user())[:80])
+        request = commands.NoteRequest(text=text, owner=(owner or self._owner or this_user())[:80])
         return self._ask_again(request, commands.Done).done
 
     def reset(self) -> bool:
@@ -738,10 +738,10 @@ class Rig:
         False
         """
         status = self.status()
-        request = commands.Reset()
+        request = commands.ResetRequest()
         if status.now_ns:
             until_ns = status.now_ns + round(REPLY_S * 1e9)
-            request = commands.Reset(fault=status.fault, valid_until_ns=until_ns)
+            request = commands.ResetRequest(fault=status.fault, valid_until_ns=until_ns)
         return self._ask_again(request, commands.Done).done
 
     def calibrate(self, path: str | Path) -> None:
@@ -776,9 +776,9 @@ class Rig:
         ...         print(err)
         the calibration does not say how it was made; `armrig calibrate` makes one
         """
-        found = read_calibration(Path(path))
+        calibration = read_calibration(Path(path))
         status = self.status()
-        request = commands.Calibrate(calibration=found, raw=raw_samples(found))
+        request = commands.CalibrateRequest(calibration=calibration, raw=raw_samples(calibration))
         if status.now_ns:
             until_ns = status.now_ns + round(REPLY_S * 1e9)
             replaces = status.calibration_sha256
@@ -799,7 +799,7 @@ class Rig:
         """
         stamp = self._stamp()
         self._lease = ""
-        self._ask(commands.Disarm(**stamp), commands.Done)
+        self._ask(commands.DisarmRequest(**stamp), commands.Done)
 
     def stream(self, name: str = "sample") -> Iterator[Any]:
         """Iterate over the messages that the rig publishes after this call: see `armrig.stream`.
@@ -814,7 +814,7 @@ class Rig:
         """
         from armrig.rig.telemetry_stream import listen
 
-        return listen(self._connected(), topics.stream_key(self.rig, name), self.endpoint)
+        return listen(self._require_session(), topics.stream_key(self.rig, name), self.endpoint)
 
     def arrivals(self, name: str) -> AbstractContextManager[Callable[[], list[Any]]]:
         """Yield, for a `with` block, a function that returns the messages since its last call.
@@ -831,20 +831,20 @@ class Rig:
         """
         from armrig.rig.telemetry_stream import arrivals
 
-        return arrivals(self._connected(), topics.stream_key(self.rig, name))
+        return arrivals(self._require_session(), topics.stream_key(self.rig, name))
 
-    def _allowed(self, u: ArrayLike | None, own: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+    def _volts(self, u: ArrayLike | None, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
         """Return the voltages (N,), of u or of the input's own values by its name.
 
         Raises ValueError if a voltage is outside the limits, or the values have a wrong name.
         """
         import numpy as np
 
-        if own or self._rest_v:
-            self._input = given = self._input or self.status().described.input
-            if u is not None or [*own] != [given.name]:
-                raise InputError(self._wrongly_named(u, own, given))
-            volts = given.volts(np.asarray(own[given.name], dtype=np.float64))
+        if values or self._rest_v:
+            self._input = port = self._input or self.status().described.input
+            if u is not None or [*values] != [port.name]:
+                raise InputError(self._wrongly_named(u, values, port))
+            volts = port.volts(np.asarray(values[port.name], dtype=np.float64))
             # The conversion may have a rounding error at a limit.
             for limit in self._limits_v:
                 volts = np.where(np.abs(volts - limit) < _ROUNDING_V, limit, volts)
@@ -865,18 +865,18 @@ class Rig:
         return volts
 
     def _wrongly_named(
-        self, u: ArrayLike | None, own: Mapping[str, ArrayLike], given: Input
+        self, u: ArrayLike | None, names: Mapping[str, ArrayLike], port: Input
     ) -> str:
         """Return what is wrong with values that are not those of the input by its name."""
-        rest = f"{given.name}={given.value(given.rest_v):g}"
-        if own:
+        text = f"{port.name}={port.value(port.rest_v):g}"
+        if names:
             both = "u and " * (u is not None)
             return (
-                f"{both}{', '.join(own)}: the input of rig {self.rig} is {given.name}: give {rest}"
+                f"{both}{', '.join(names)}: the input of rig {self.rig} is {port.name}: give {text}"
             )
         return (
             f"a number without a name is a voltage at the pin, and rig {self.rig} rests at "
-            f"{given.rest_v:g} V: give the value in {given.unit}, such as {rest} for rest"
+            f"{port.rest_v:g} V: give the value in {port.unit}, such as {text} for rest"
         )
 
     def _stamp(self, wait_s: float = REPLY_S) -> dict[str, Any]:
@@ -889,12 +889,12 @@ class Rig:
             stamp["valid_until_ns"] = boot_ns() + self._ahead_ns + round(wait_s * 1e9)
         return stamp
 
-    def _connected(self) -> zenoh.Session:
+    def _require_session(self) -> zenoh.Session:
         if self._session is None:
             raise RigError('a Rig is used in a with block: with armrig.Rig("1") as rig: …')
         return self._session
 
-    def _ask_again(self, request: commands.Request, answer: type[_R]) -> _R:
+    def _ask_again(self, request: commands.DaemonRequest, answer: type[_R]) -> _R:
         """Send a command; if it is refused temporarily, repeat it for up to `_REPEAT_S`."""
         until = time.monotonic() + _REPEAT_S
         while True:
@@ -905,14 +905,14 @@ class Rig:
                     raise
             time.sleep(_REPEAT_INTERVAL_S)
 
-    def _ask(self, request: commands.Request, answer: type[_R]) -> _R:
+    def _ask(self, request: commands.DaemonRequest, answer: type[_R]) -> _R:
         key, payload = self._query(request)
-        replies = self._connected().get(
+        replies = self._require_session().get(
             key, payload=payload, encoding="application/json", timeout=REPLY_S
         )
         return self._read(request.name, replies, answer)
 
-    def _query(self, request: commands.Request) -> tuple[str, bytes]:
+    def _query(self, request: commands.DaemonRequest) -> tuple[str, bytes]:
         """Return the key and the payload of a command."""
         key = topics.command_key(self.rig, request.name, self._name)
         payload = msgspec.json.encode(request)
@@ -932,7 +932,7 @@ class Rig:
                     return reply_of(name, reply.ok.payload.to_bytes(), answer)
                 if reply.err is None or (error := reply.err.payload.to_bytes()) == _TIMEOUT:
                     continue
-                raise refused(refusal_of(name, error))
+                raise refusal_error(refusal_of(name, error))
         except MalformedReplyError as err:
             raise no_daemon(self.rig, self.endpoint, str(err)) from err
         if self._name:

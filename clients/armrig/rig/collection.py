@@ -184,9 +184,9 @@ def bar(
         TimeRemainingColumn(compact=True),
         TextColumn("{task.fields[note]}", markup=False),
     )
-    with ProgressBar(*columns, console=console or Console(stderr=True)) as shown:
-        task = shown.add_task(name, total=None, note="")
-        yield lambda done, total: shown.update(task, completed=done, total=total, note=note())
+    with ProgressBar(*columns, console=console or Console(stderr=True)) as display:
+        task = display.add_task(name, total=None, note="")
+        yield lambda done, total: display.update(task, completed=done, total=total, note=note())
 
 
 class TimingNote:
@@ -250,7 +250,7 @@ def collect(
     rig: str,
     connect: str | None,
     tell: Callable[[str], None],
-    shown: Shown = on_the_terminal,
+    display: Shown = on_the_terminal,
     way_out: str = "",
 ) -> Collected:
     """Arm the rig, play a plan's input, and record.
@@ -282,35 +282,35 @@ def collect(
             tell("not rehearsed: the description of this rig has no [model]")
         if status.arm_removed and not plan.without_arm:
             tell(f"rig {status.rig} has no arm ([arm] removed): this is the {BODY} alone")
-        given = described.input
-        if plan.is_bare and given.rest_v:
+        port = described.input
+        if plan.is_bare and port.rest_v:
             raise RigError(
-                f"rig {status.rig} rests at {given.rest_v:g} V, so a voltage without a name may be "
-                f"its full reverse: give values in {given.unit} by name, such as --low "
-                f"{given.name}={given.value(given.rest_v):.4g} --high {given.name}="
-                f"{given.value((given.rest_v + status.u_max) / 2):.4g}. In a file, name the column "
-                f"{given.name}"
+                f"rig {status.rig} rests at {port.rest_v:g} V, so a voltage without a name may be "
+                f"its full reverse: give values in {port.unit} by name, such as --low "
+                f"{port.name}={port.value(port.rest_v):.4g} --high {port.name}="
+                f"{port.value((port.rest_v + status.u_max) / 2):.4g}. In a file, name the column "
+                f"{port.name}"
             )
-        if plan.default_levels and (given.rest_v or status.u_max < plan.details["high"]):
-            plan = _fitting(plan, given.rest_v, status.u_max, tell)
+        if plan.default_levels and (port.rest_v or status.u_max < plan.details["high"]):
+            plan = _fitting(plan, port.rest_v, status.u_max, tell)
         armed = False
         try:
             granted = opened.arm(plan.owner, plan.Ts)
             armed = True
-            u = planned_input(plan, granted.Ts, tell)
+            u = make_input(plan, granted.Ts, tell)
             if plan.law is not None:
                 tell(f"the reference is {u.min():.4g} to {u.max():.4g} {plan.law.reference.unit}")
-            elif given.is_scaled:
-                tell(f"the input is {given.both(float(u.min()), float(u.max()))}")
+            elif port.is_scaled:
+                tell(f"the input is {port.both(float(u.min()), float(u.max()))}")
             if (seconds := u.size * granted.Ts) > _LONG_S:
                 most = "at most " * (UNTIL in plan.details)
                 end = time.strftime("%a %H:%M", time.localtime(time.time() + seconds))
                 tell(f"the rig is held for {most}{timedelta(seconds=round(seconds))}, until {end}")
-            path, run_id, rehearsal = _played(opened, plan, u, granted.Ts, given, tell, shown)
+            path, run_id, rehearsal = _play(opened, plan, u, granted.Ts, port, tell, display)
         except KeyboardInterrupt as err:
             if not armed:
                 raise
-            raise InterruptedRunError(_interrupted_sentence(opened, status.last_run)) from err
+            raise InterruptedRunError(_interruption_sentence(opened, status.last_run)) from err
         except NoReplyError:
             raise
         except RigError as err:
@@ -355,30 +355,30 @@ def _is_readable(path: Path) -> bool:
         return False
 
 
-def _played(
+def _play(
     rig: Rig,
     plan: Plan,
     u: NDArray[Any],
     Ts: float,
-    given: Input,
+    port: Input,
     tell: Callable[[str], None],
-    shown: Shown,
+    display: Shown,
 ) -> tuple[Path, str, Rehearsal | None]:
     """Play an input and show its progress; return the recording, the run id and the rehearsal."""
     N = u.size * rig.every
     rehearsal: Rehearsal | None = None
     run_id, taken = "", 0
 
-    def accepted(run: RunAccepted) -> None:
+    def on_accepted(run: RunAccepted) -> None:
         nonlocal rehearsal, run_id
         rehearsal, run_id = run.rehearsal, run.run_id
         if rehearsal is not None:
             tell(rehearsal_sentence(rehearsal))
 
     until = _until_settled(rig, plan, Ts) if UNTIL in plan.details else nullcontext(bool)
-    with shown(rig, plan.experiment, N) as progress, until as settled:
+    with display(rig, plan.experiment, N) as progress, until as settled:
 
-        def counted(done: int, total: int) -> None:
+        def on_progress(done: int, total: int) -> None:
             nonlocal taken
             taken = done
             progress(done, total)
@@ -394,8 +394,8 @@ def _played(
             common: dict[str, Any] = {
                 "experiment": plan.experiment,
                 "details": plan.details,
-                "accepted": accepted,
-                "progress": counted,
+                "accepted": on_accepted,
+                "progress": on_progress,
                 "tell": tell,
             }
             if plan.law is not None:
@@ -409,7 +409,7 @@ def _played(
                 )
             else:
                 path = rig.run(
-                    **{given.name: given.value(u)} if given.rest_v else {"u": u},
+                    **{port.name: port.value(u)} if port.rest_v else {"u": u},
                     pacing=plan.pacing,
                     dead_man=plan.dead_man,
                     **common,
@@ -441,11 +441,11 @@ def _until_settled(rig: Rig, plan: Plan, Ts: float) -> Iterator[Callable[[], boo
     settling = Settling(channels, at, Ts / rig.every)
     with rig.arrivals("sample") as samples:
 
-        def settled() -> bool:
+        def is_settled() -> bool:
             settling.add(samples())
             return settling.has_settled()
 
-        yield settled
+        yield is_settled
 
 
 def _after_the_stop(rig: Rig, run_id: str) -> Path:
@@ -465,7 +465,7 @@ ARM_OFF = (
 """Instructions to the user, to remove the arm before an experiment without it."""
 
 
-def planned_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray[Any]:
+def make_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray[Any]:
     """Return the input of a plan at Ts; report a length that differs from the requested length."""
     if plan.seconds is None:
         u = plan.make(0, Ts)
@@ -501,7 +501,7 @@ def _reason(rig: Rig, err: RigError, way_out: str) -> str:
     return f"rig {rig.rig} is in fault: {status.reason}; {remedy}"
 
 
-def _interrupted_sentence(rig: Rig, before: LastRun | None) -> str:
+def _interruption_sentence(rig: Rig, before: LastRun | None) -> str:
     """Wait for the recording of an interrupted run, and return a sentence on its state."""
     stopped = f"interrupted: a stop (0 V) was sent to rig {rig.rig}"
     until = time.monotonic() + _FINISH_TIMEOUT_S

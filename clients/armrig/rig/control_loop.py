@@ -96,9 +96,9 @@ class ControlLoop:
             self._first = decided[0].k if self._first is None else self._first
             self.deadlines, self.missed = decided[-1].k - self._first, decided[-1].predicted
 
-    def _set(self, u: float | None = None, **own: float) -> None:
+    def _set(self, u: float | None = None, **values: float) -> None:
         try:
-            self._rig.set(u, **own)
+            self._rig.set(u, **values)
         except BusyError:
             pass  # the run ends, or too many commands came: the daemon counts the missed deadline
         except (InputError, RefusedError) as err:

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import zenoh
-from armrig_core.access.owned_session import group_may_open, owned_session
+from armrig_core.access.owned_session import group_may_open, session_configuration
 from armrig_core.errors import FileError
 from armrig_core.recording_file.manifest import Manifest, description_of
-from armrig_core.rig.channels import Channel
+from armrig_core.rig.channels import DeviceChannel
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.channels import CHANNELS
 from armrig_core.telemetry.telemetry import Sample, encode_sample
@@ -25,8 +25,8 @@ from armrig_core.telemetry.topics import STREAMS, alive_key, schema_key, stream_
 from msgspec import UNSET
 from numpy.typing import NDArray
 
-from armrig.recordings.daemon_reports import Clock
-from armrig.recordings.files.container import Content, streamed
+from armrig.recordings.daemon_reports import RecordingClock
+from armrig.recordings.files.container import Content, stream_messages
 from armrig.recordings.files.loading import EVERYTHING, clock_of, files_of, origin_of, run_content
 from armrig.rig.session import RigError
 
@@ -60,9 +60,9 @@ class PublishedRun:
     """Samples, as recorded."""
     others: tuple[Published, ...]
     """All other messages, in the order of their times."""
-    clock: Clock
+    clock: RecordingClock
     """Conversion of the host's times to `t`."""
-    channels: tuple[Channel, ...] = CHANNELS
+    channels: tuple[DeviceChannel, ...] = CHANNELS
     """Channels of the rig, which name fields of the samples."""
 
     def __len__(self) -> int:
@@ -89,7 +89,7 @@ class PublishedRun:
                 yield Published(t, "sample", encode_sample(sample))
 
 
-def published(path: Path, start: float | None = None, stop: float | None = None) -> PublishedRun:
+def read_run(path: Path, start: float | None = None, stop: float | None = None) -> PublishedRun:
     """Return the messages of a recorded run, from a file or from the parts of the run.
 
     The range is start <= t < stop, in s from the run's first sample.
@@ -98,17 +98,17 @@ def published(path: Path, start: float | None = None, stop: float | None = None)
     message. Raises OSError if the file cannot be opened or read.
     """
     paths = files_of(path)
-    found = run_content(paths, start, stop, digest=False)
-    content, manifest = found.content, found.manifest
+    run = run_content(paths, start, stop, digest=False)
+    content, manifest = run.content, run.manifest
     if manifest.controller_sha256 is not UNSET:
-        decisions = chain.from_iterable(streamed(one, "control") for one in paths)
+        decisions = chain.from_iterable(stream_messages(part, "control") for part in paths)
         content.messages["control"] = [*decisions]
     clock = clock_of(content, manifest, origin_of(content, manifest))
-    first, end = found.between
+    first, end = run.between
     k = content.samples["k"]
     samples = content.samples[np.searchsorted(k, first) : np.searchsorted(k, end)]
     others = sorted(_others(content, clock), key=lambda message: message.t)
-    if found.between != EVERYTHING:
+    if run.between != EVERYTHING:
         low, high = start or 0.0, np.inf if stop is None else stop
         others = [message for message in others if low <= message.t < high]
     if not (samples.size or others):
@@ -123,14 +123,14 @@ def published(path: Path, start: float | None = None, stop: float | None = None)
     )
 
 
-def _others(content: Content, clock: Clock) -> Iterator[Published]:
+def _others(content: Content, clock: RecordingClock) -> Iterator[Published]:
     for stream, messages in content.messages.items():
         for message in messages:
             t = clock.seconds(_host_ns(stream, message, content, clock))
             yield Published(t, stream, message.SerializeToString())
 
 
-def _host_ns(stream: str, message: Any, content: Content, clock: Clock) -> int:
+def _host_ns(stream: str, message: Any, content: Content, clock: RecordingClock) -> int:
     """Return the time at which a message was published, on the host's monotonic clock."""
     if stream == "event":
         stamp = message.timestamp
@@ -144,9 +144,11 @@ def _host_ns(stream: str, message: Any, content: Content, clock: Clock) -> int:
 
 
 class Stage:
-    """Session that publishes the messages of a recording; `staged` creates this session."""
+    """Session that publishes the messages of a recording; `open_stage` creates this session."""
 
-    def __init__(self, session: zenoh.Session, rig: str, channels: tuple[Channel, ...]) -> None:
+    def __init__(
+        self, session: zenoh.Session, rig: str, channels: tuple[DeviceChannel, ...]
+    ) -> None:
         self._session = session
         self._publishers = {
             stream: session.declare_publisher(
@@ -184,14 +186,16 @@ class Stage:
 
 
 @contextmanager
-def staged(where: str, rig: str, channels: tuple[Channel, ...] = CHANNELS) -> Iterator[Stage]:
+def open_stage(
+    where: str, rig: str, channels: tuple[DeviceChannel, ...] = CHANNELS
+) -> Iterator[Stage]:
     """Yield a session that listens at an endpoint; clients cannot publish or answer queries there.
 
     `channels` name fields of the schema of a sample.
 
     Raises RigError if the endpoint is not valid, is in use, or cannot be created.
     """
-    config = owned_session(where, most_received=_MAX_RECEIVED_BYTES)
+    config = session_configuration(where, most_received=_MAX_RECEIVED_BYTES)
     try:
         with group_may_open():
             session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))

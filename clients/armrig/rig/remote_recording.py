@@ -21,7 +21,7 @@ from armrig_core.errors import InputError
 from armrig_core.process.printable import plural
 from armrig_core.recording_file.manifest import Manifest, check_whole_numbers
 from armrig_core.recording_file.part_names import ACTIVE
-from armrig_core.recording_file.recorder import Recording, RecordingError
+from armrig_core.recording_file.recorder import ActiveRecording, RecordingError
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.telemetry import Outgoing, Sample
 from google.protobuf.message import DecodeError
@@ -29,8 +29,8 @@ from google.protobuf.message import DecodeError
 from armrig.recordings.files.recording_summary import REMOTE
 from armrig.recordings.grid import MISSING_LIMIT, TS_LEAST_S, TS_LIMIT_S
 from armrig.rig.remote_source import Piece, RemoteSource
-from armrig.rig.session import RigError, service_has_stopped, stopped_sentence
-from armrig.rig.telemetry_stream import LiveGap, Newest, decoded, gaps_between, told_gaps
+from armrig.rig.session import RigError, service_has_stopped, service_stop_sentence
+from armrig.rig.telemetry_stream import LiveGap, Newest, decode, gap_store, gaps_between
 
 STARTED_ANEW = "the daemon was restarted, and its counts begin again"
 MOST_ROWS = 1 << 23
@@ -79,11 +79,11 @@ class RemoteRecording:
     """Function that is called with each message for the user."""
     done: list[RecordedFile] = field(default_factory=list)
     """Complete files."""
-    _file: Recording | None = None
+    _file: ActiveRecording | None = None
     _first: Sample | None = None
     _last: Sample | None = None
     _missing: int = 0
-    _told: Newest[Any] = field(default_factory=told_gaps)
+    _told: Newest[Any] = field(default_factory=gap_store)
     _waiting: list[Outgoing] = field(default_factory=list)
     _waiting_size: int = 0
     _state: Any = None
@@ -119,7 +119,7 @@ class RemoteRecording:
                     "so its sampling time is unknown; the sender is not an armrigd"
                 )
             return
-        file.add(self._taken())
+        file.add(self._drain())
         # Wait: a full queue of the file would drop messages, but the daemon keeps later messages.
         while file.behind > _MAX_PENDING_PIECES and not file.error:
             time.sleep(_DISK_INTERVAL_S)
@@ -128,7 +128,7 @@ class RemoteRecording:
         if file.error:
             raise DiskError(file.error)
 
-    def _taken(self) -> list[Outgoing]:
+    def _drain(self) -> list[Outgoing]:
         waiting, self._waiting, self._waiting_size = self._waiting, [], 0
         return waiting
 
@@ -202,7 +202,7 @@ class RemoteRecording:
         path = self._free_path()
         manifest = remote_manifest(self.rig, self.endpoint, self._state, self._offset_ns)
         try:
-            self._file = Recording.create(
+            self._file = ActiveRecording.create(
                 path, manifest, {}, t_first_ns=first.t_host_ns, changed=lambda: None
             )
         except RecordingError as err:
@@ -221,7 +221,7 @@ class RemoteRecording:
     def finish(self, ended: Ending) -> None:
         """Complete the current file, and write its outcome."""
         file, self._file = self._file, None
-        waiting = self._taken()
+        waiting = self._drain()
         self._first = self._last = None
         self._missing = 0
         self._told.take()
@@ -316,7 +316,7 @@ def remote_message(stream: str, data: bytes, clock_offset_ns: int) -> RemoteMess
     try:
         if not 0 <= clock_offset_ns < _LIMIT:
             raise InputError(f"the clock offset {clock_offset_ns} ns is not possible")
-        value = decoded(stream, data)
+        value = decode(stream, data)
         _check(stream, value)
     except (ValueError, DecodeError) as err:
         raise RigError(
@@ -384,7 +384,7 @@ class RemoteRecorder:
         Raises RigError if the sender is not an armrigd, or the disk cannot be written.
         """
         rig, tell = self.recording.rig, self.recording.tell
-        stopped = service_has_stopped(rig, self.recording.endpoint) and stopped_sentence(rig)
+        stopped = service_has_stopped(rig, self.recording.endpoint) and service_stop_sentence(rig)
         begun = heard = time.monotonic()
         silent = False
         while not ended.is_set() and (seconds is None or time.monotonic() - begun < seconds):

@@ -52,14 +52,14 @@ class RemoteSource:
 
         Raises RigError if the sender is not a daemon of this version.
         """
-        past = self._asked(self._next, self._life)
+        past = self._request_past(self._next, self._life)
         if past is None:
             return None
         is_new, began = past.life != self._life, bool(self._life)
         if is_new and self._next:
             # The queried number belongs to the old sequence. The new sequence is read from its
             # beginning.
-            past = self._asked(0, past.life)
+            past = self._request_past(0, past.life)
             if past is None:
                 return None
         lost = past.first if is_new else past.first - self._next
@@ -69,7 +69,7 @@ class RemoteSource:
         self._life, self._next = past.life, past.first + len(past.messages)
         return Piece(past=past, is_new_life=is_new and began, lost=lost if began else 0)
 
-    def _asked(self, first: int, life: bytes) -> Past | None:
+    def _request_past(self, first: int, life: bytes) -> Past | None:
         """Return the answer of the daemon with the id `life`, or of the only answering daemon."""
         question = msgspec.json.encode(HistoryRequest(first=first))
         others: dict[bytes, Past] = {}

@@ -101,7 +101,7 @@ def this_user() -> str:
         return ""
 
 
-def refused(refusal: commands.Refused) -> RefusedError:
+def refusal_error(refusal: commands.Refused) -> RefusedError:
     """Return the exception for a refusal."""
     kind = BusyError if refusal.passes else RefusedError
     return kind(refusal.error, refusal.code, refusal.parameters)

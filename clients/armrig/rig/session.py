@@ -26,7 +26,7 @@ from armrig_core.access.endpoint import (
 )
 from armrig_core.errors import FileError, InputError, OperationError
 from armrig_core.process.printable import printable
-from armrig_core.recording_file.recording_directory import installed, of_rig
+from armrig_core.recording_file.recording_directory import configuration_files, of_rig
 from armrig_core.telemetry.topics import PLAYED, check_rig_id, is_rig_id
 
 UNIT = Path("/etc/systemd/system/armrigd@.service")
@@ -75,7 +75,7 @@ class ServiceStoppedError(RigError):
     """The service of a rig of this machine stopped during a run."""
 
     def __init__(self, rig: str) -> None:
-        super().__init__(stopped_sentence(rig))
+        super().__init__(service_stop_sentence(rig))
 
 
 class Connection(NamedTuple):
@@ -122,12 +122,12 @@ def own_endpoint(rig: str) -> str:
     return where
 
 
-def configured_endpoint(rig: str) -> str:
+def client_endpoint(rig: str) -> str:
     """Return the endpoint in `[client]`; if there is none, the endpoint of this user's daemon."""
     return _settings(rig).connect or default_endpoint(rig)
 
 
-def configured_connect() -> str:
+def connect_setting() -> str:
     """Return the endpoint in `[client]`; "" if it is not configured."""
     return _settings("").connect
 
@@ -220,7 +220,7 @@ def _settings(rig: str) -> ClientSettings:
     if rig:
         check_rig_id(rig)
     try:
-        return client_settings(installed(rig), os.environ)
+        return client_settings(configuration_files(rig), os.environ)
     except ValueError as err:
         raise RigError(str(err)) from err
 
@@ -252,17 +252,17 @@ def _way(where: str, certificate: str | Path | None, settings: ClientSettings) -
 
 def _local_ways(rig: str) -> list[_Way]:
     """Return connections to the sockets of this user's daemon and of this machine's service."""
-    own, services = Path(_socket_directory()), Path(SERVICES)
+    user_directory, services = Path(_socket_directory()), Path(SERVICES)
     ways = []
     for directory, above, owners in (
-        (own, None, {os.getuid()}),
+        (user_directory, None, {os.getuid()}),
         (services / check_rig_id(rig), services, daemon_lock.service_owners()),
     ):
         where = endpoint(rig, PurePosixPath(directory))
         if directory.is_symlink() or directory.exists():
             for checked in filter(None, (above, directory)):
                 _check_directory(checked, owners)
-            if directory != own and not os.access(directory, os.X_OK):
+            if directory != user_directory and not os.access(directory, os.X_OK):
                 raise RigError(
                     f"{directory}: only the group {SERVICE_USER} may operate rig {rig}: "
                     f"`sudo usermod -aG {SERVICE_USER} $USER`, then log in again"
@@ -324,7 +324,7 @@ def no_reply(rig: str, where: str, fault: str = "") -> NoReplyError:
             where,
         )
     if service_has_stopped(rig, where):
-        return NoReplyError(stopped_sentence(rig), where)
+        return NoReplyError(service_stop_sentence(rig), where)
     if not fault:
         fault = "not running, or not permitted; start it with `armrig lab` or `armrigd run`, "
         fault += "or give its endpoint with --connect"
@@ -340,7 +340,7 @@ def service_has_stopped(rig: str, where: str) -> bool:
     return where == _service_endpoint(rig) and (not folder.exists() or os.access(folder, os.X_OK))
 
 
-def stopped_sentence(rig: str) -> str:
+def service_stop_sentence(rig: str) -> str:
     """Return a sentence on a stopped service of this machine, with the remedy."""
     return (
         f"the service of rig {rig} has stopped; `systemctl status armrigd@{rig}`; what was "
@@ -348,9 +348,9 @@ def stopped_sentence(rig: str) -> str:
     )
 
 
-def no_daemon(rig: str, where: str, what: str) -> RigError:
+def no_daemon(rig: str, where: str, why: str) -> RigError:
     """Return the error for replies that do not come from a daemon of this version."""
-    return RigError(f"rig {rig} at {where}: {what}; the listener is not an armrigd of this version")
+    return RigError(f"rig {rig} at {where}: {why}; the listener is not an armrigd of this version")
 
 
 def why_not_connected(host: str, port: int, credential: Credential, path: Path) -> str:

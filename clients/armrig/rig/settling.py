@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import tau
 
 import numpy as np
-from armrig_core.rig.channels import Channel
+from armrig_core.rig.channels import DeviceChannel
 from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ class Settling:
     time constants. The speed of a turning output is judged.
     """
 
-    def __init__(self, channels: Sequence[Channel], at_s: float, Ts: float) -> None:
+    def __init__(self, channels: Sequence[DeviceChannel], at_s: float, Ts: float) -> None:
         """Store the channels, the time of the step, and the time between two samples, in s."""
         self._channels, self._at, self._Ts = channels, at_s, Ts
         self._per_row = max(1, round(_BIN_S / Ts))
@@ -64,11 +64,11 @@ class Settling:
         after = table[:, 0] > self._at
         if np.count_nonzero(after) < _FEWEST or after.all():
             return False
-        known = [_settled(y[~after], y[after]) for y in table[:, 1:].T if np.isfinite(y).any()]
-        return any(moved for moved, _ in known) and all(steady for _, steady in known)
+        verdicts = [_judge(y[~after], y[after]) for y in table[:, 1:].T if np.isfinite(y).any()]
+        return any(moved for moved, _ in verdicts) and all(steady for _, steady in verdicts)
 
 
-def _settled(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[bool, bool]:
+def _judge(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[bool, bool]:
     """Return whether an output moved, and whether it is steady."""
     third, last = np.array_split(after, 4)[2:]
     noise = float(np.nanstd(np.diff(last))) / np.sqrt(2)

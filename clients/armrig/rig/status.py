@@ -17,7 +17,7 @@ from armrig.rig.replies import refusal_of, reply_of
 from armrig.rig.session import (
     Connection,
     RigError,
-    configured_connect,
+    connect_setting,
     default_endpoint,
     local_rigs,
     open_connection,
@@ -51,22 +51,20 @@ def live_rigs(connect: str | None) -> tuple[str, list[LiveRig]]:
 
     Raises RigError if nobody listens at the endpoint, or the connection cannot be used.
     """
-    if where := connect or configured_connect():
+    if where := connect or connect_setting():
         connection = open_endpoint(where)
         with connection.session:
             return where, _all_of(connection)
-    found = []
+    rigs = []
     for rig in local_rigs():
         try:
             connection = open_connection(None, rig=rig)
         except RigError as err:
-            found.append(
-                LiveRig(rig=rig, endpoint=default_endpoint(rig), status=None, why=str(err))
-            )
+            rigs.append(LiveRig(rig=rig, endpoint=default_endpoint(rig), status=None, why=str(err)))
             continue
         with connection.session:
-            found += _all_of(connection)
-    return "this machine", found
+            rigs += _all_of(connection)
+    return "this machine", rigs
 
 
 def ids_alive(session: zenoh.Session) -> list[str]:
@@ -89,12 +87,12 @@ def _all_of(connection: Connection) -> list[LiveRig]:
         for rig in ids
     ]
     return [
-        _answered(rig, connection.endpoint, replies)
+        _read_status(rig, connection.endpoint, replies)
         for rig, replies in zip(ids, pending, strict=True)
     ]
 
 
-def _answered(rig: str, endpoint: str, replies: Iterable[zenoh.Reply]) -> LiveRig:
+def _read_status(rig: str, endpoint: str, replies: Iterable[zenoh.Reply]) -> LiveRig:
     why = "does not answer"
     try:
         for reply in replies:
@@ -145,9 +143,9 @@ def status_rows(report: StatusReport) -> list[tuple[str, str]]:
 
 def _limit_texts(report: StatusReport) -> Iterable[str]:
     """Yield the limits of the voltage and of each output as text."""
-    given = report.described.input
+    port = report.described.input
     volts = f"{report.u_min:g} to {report.u_max:g} V"
-    yield given.both(report.u_min, report.u_max) if given.is_scaled else volts
+    yield port.both(report.u_min, report.u_max) if port.is_scaled else volts
     units = {channel.name: channel.unit for channel in report.described.channels}
     for name, limit in report.limits.items():
         ends = (("at least", limit.low), ("at most", limit.high))
@@ -175,7 +173,7 @@ def scheduling_sentences(host: dict[str, Any]) -> list[str]:
     sentences = [f"real-time scheduling at priority {fifo}" if fifo else "no real-time scheduling"]
     refused = host.get("refused", [])
     sentences += [
-        f"not allowed: {what}" for what in (refused if isinstance(refused, list) else [refused])
+        f"not allowed: {call}" for call in (refused if isinstance(refused, list) else [refused])
     ]
     return sentences
 

@@ -17,7 +17,7 @@ from armrig_core.commands.codes import GapCode
 from armrig_core.errors import InputError
 from armrig_core.telemetry import protobuf, telemetry, topics
 from armrig_core.telemetry.channels import SAMPLE_NAMES
-from armrig_core.telemetry.telemetry import Sample, named_sample
+from armrig_core.telemetry.telemetry import Sample, sample_class
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import DecodeError
 
@@ -27,7 +27,7 @@ from armrig.rig.session import (
     RigError,
     open_connection,
     service_has_stopped,
-    stopped_sentence,
+    service_stop_sentence,
 )
 
 SILENCE_S = 1.0
@@ -105,7 +105,7 @@ def listen(session: zenoh.Session, key: str, where: str) -> Iterator[Any]:
         gaps = arrivals(session, topics.stream_key(rig, "gap"))
     with gaps as gaps_since, arrivals(session, key) as messages_since:
         before: Sample | None = None
-        reported = told_gaps()
+        reported = gap_store()
 
         def is_over(gap: Any) -> bool:  # all its missing samples are before the last sample
             return before is not None and bool(gap.k_first + gap.count <= before.k)
@@ -136,12 +136,12 @@ def _until_gone(
                 yield messages
                 heard_s = time.monotonic()
             if (change := alive.try_recv()) is not None and change.kind == zenoh.SampleKind.DELETE:
-                raise _gone(rig, where)
+                raise _stop_error(rig, where)
             if time.monotonic() - heard_s > SILENCE_S:
                 # The daemon withdraws its token over a connection that ends with the daemon. The
                 # withdrawal may therefore never arrive.
                 if not _is_alive(session, rig):
-                    raise _gone(rig, where)
+                    raise _stop_error(rig, where)
                 heard_s = time.monotonic()
             time.sleep(_LISTEN_INTERVAL_S)
 
@@ -185,26 +185,26 @@ def _sample_kind(session: zenoh.Session, rig: str) -> type[Sample]:
             for field in message.field
         }
         by_number = enumerate(Sample._fields, 1)
-        return named_sample(tuple(fields.get(number, name) for number, name in by_number))
+        return sample_class(tuple(fields.get(number, name) for number, name in by_number))
     return Sample
 
 
-def decoded(name: str, payload: bytes) -> Any:
+def decode(name: str, payload: bytes) -> Any:
     """Decode one message of the stream `name`; missing numbers are `protobuf.ABSENT`."""
     if name != "sample":
-        return protobuf.decoded(protobuf.OF_STREAM[name], payload)
+        return protobuf.decode_message(protobuf.OF_STREAM[name], payload)
     sample = telemetry.decode_sample(payload)
     if sample is not None:
         return sample
     # A sample of another version, with more or fewer fields; their numbers are those of every rig.
-    message = protobuf.decoded(protobuf.SAMPLE, payload)
+    message = protobuf.decode_message(protobuf.SAMPLE, payload)
     return Sample._make(getattr(message, field) for field in SAMPLE_NAMES)
 
 
 def _read(rig: str, name: str, payload: bytes) -> Any:
     """Decode one message of a stream; raise RigError if it cannot be decoded."""
     try:
-        return decoded(name, payload)
+        return decode(name, payload)
     except DecodeError as err:
         raise RigError(
             f"rig {rig}: {len(payload)} B of its stream {name!r} cannot be read ({err}); the "
@@ -217,9 +217,9 @@ def _is_alive(session: zenoh.Session, rig: str) -> bool:
     return any(reply.ok is not None for reply in replies)
 
 
-def _gone(rig: str, where: str) -> NoReplyError:
+def _stop_error(rig: str, where: str) -> NoReplyError:
     return NoReplyError(
-        stopped_sentence(rig)
+        service_stop_sentence(rig)
         if service_has_stopped(rig, where)
         else f"rig {rig}: its daemon stopped; start it with `armrig lab` or `armrigd run`"
     )
@@ -268,7 +268,7 @@ class LiveGap:
     """Code of the reason: an `armrig_core.commands.codes.GapCode`."""
 
 
-def told_gaps() -> Newest[Any]:
+def gap_store() -> Newest[Any]:
     """Return a bounded store for the gaps that a daemon reports (`armrig.v1.Gap`)."""
     return Newest(MOST_TOLD, MOST_TOLD_BYTES)
 
@@ -285,7 +285,7 @@ def gaps_between(before: Sample, after: Sample, told: Iterable[Any]) -> Iterator
         if first >= after_last:
             continue
         if first > k:
-            yield _missed(before, after, k, first)
+            yield _gap_between(before, after, k, first)
         yield LiveGap(
             k_first=first,
             count=after_last - first,
@@ -298,10 +298,10 @@ def gaps_between(before: Sample, after: Sample, told: Iterable[Any]) -> Iterator
         )
         k = after_last
     if k < end:
-        yield _missed(before, after, k, end)
+        yield _gap_between(before, after, k, end)
 
 
-def _missed(before: Sample, after: Sample, first: int, end: int) -> LiveGap:
+def _gap_between(before: Sample, after: Sample, first: int, end: int) -> LiveGap:
     return LiveGap(
         k_first=first,
         count=end - first,

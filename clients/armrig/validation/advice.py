@@ -14,7 +14,7 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
 from armrig.data.finding import Finding, few_samples, good, lines_of, warning
 from armrig.data.step import LINE, MEAN, codes_of, laws_text
-from armrig.data.treatment import drift, hampel, known_to_integrate
+from armrig.data.treatment import drift, hampel, integrates_by_name
 from armrig.data.treatment.integrating import Integration, integration, may_be_one
 from armrig.estimation.data_faults import (
     CONSTANT_INPUT,
@@ -30,7 +30,7 @@ from armrig.models.equation import explains_nothing, whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.structure_table import CHANNEL, DESCRIBED, RegisteredStructure
 from armrig.models.transfer_function import TransferFunction
-from armrig.numerics.quantities import digits, listed, near_one, p_relation, percent, plural
+from armrig.numerics.quantities import digits, join_names, near_one, p_relation, percent, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT
 from armrig.validation.feedback_and_delay.by_channel import ByChannel, Name, each_channel
 from armrig.validation.feedback_and_delay.delay import delay
@@ -75,8 +75,8 @@ class Advice:
     def __repr__(self) -> str:
         """Return a count and the findings."""
         count = len(self.warnings)
-        said = f"{count} to act on" if count else "nothing to act on"
-        return f"advice on {self.of}: {said}\n{self.explain()}"
+        summary = f"{count} to act on" if count else "nothing to act on"
+        return f"advice on {self.of}: {summary}\n{self.explain()}"
 
 
 def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
@@ -120,7 +120,7 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     if not isinstance(data_or_fit, Fit):
         return _advice_on_data(data_or_fit)
     fit = data_or_fit
-    each = dict(_examined_channels(fit))
+    each = dict(_examine_channels(fit))
     if (fit.ny, fit.nu) == (1, 1):
         return each[fit.outputs[0], fit.inputs[0]]
     together = Advice(of=fit.label, findings=fit.findings).explain()
@@ -131,43 +131,43 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
 @takes_recordings
 def _advice_on_data(data: Dataset, whole: Signals | None = None) -> Advice:
     if text := constancy(data.output, data.y):
-        found = (_about_input(data), warning("output", text))
-        return Advice(of=f"{plural(data.N, 'sample')} of {data.output}", findings=found)
-    known = tested(data, None, whole)
-    each = in_open_loop(data, known.loop)
+        faults = (_about_input(data), warning("output", text))
+        return Advice(of=f"{plural(data.N, 'sample')} of {data.output}", findings=faults)
+    preliminary = preliminary_tests(data, None, whole)
+    each = in_open_loop(data, preliminary.loop)
     tests = [(warning if t.sure else good)("linearity", t.line) for t in each]
-    findings = (*few_samples(data.N), *examine_experiment(data, known, whole), *tests)
+    findings = (*few_samples(data.N), *examine_experiment(data, preliminary, whole), *tests)
     return Advice(of=f"{plural(data.N, 'sample')} of {data.output}", findings=findings)
 
 
-def _examined_channels(model: Fit) -> Iterator[tuple[Name, Advice]]:
+def _examine_channels(model: Fit) -> Iterator[tuple[Name, Advice]]:
     """Yield the names of each channel and the advice on it, with the findings of the estimation."""
     kind = DESCRIBED.get(model.structure, CHANNEL)
     # A model in continuous time is examined as sampled.
     fit = model if model.Ts else model.to_discrete()
-    channels = {(fit.outputs[i], fit.inputs[j]): one for i, j, one in fit.channels()}
-    pairs = {name: overlapping(one) for name, one in channels.items()}
+    channels = {(fit.outputs[i], fit.inputs[j]): estimate for i, j, estimate in fit.channels()}
+    pairs = {name: overlapping(estimate) for name, estimate in channels.items()}
     # Of channels with the same poles, a pole is superfluous only if a zero cancels it in each.
     everywhere = [*pairs.values()] if fit.shared or fit.form.coupled else []
     # The findings of the estimation of several signals are not about a single channel.
-    own = fit.findings if (fit.ny, fit.nu) == (1, 1) else ()
-    known = {f.about for f in own}
-    for name, one in channels.items():
-        superfluous = [p for p in pairs[name] if all(_cancels(p[0], of) for of in everywhere)]
-        channel = replace(one, starts=fit.starts, findings=own)
-        advised = _advised(channel, pairs[name], superfluous, kind)
-        found = [*own, *(f for f in advised if f.about not in known)]
+    fit_findings = fit.findings if (fit.ny, fit.nu) == (1, 1) else ()
+    topics = {f.about for f in fit_findings}
+    for name, estimate in channels.items():
+        superfluous = [p for p in pairs[name] if all(_cancels(p[0], peers) for peers in everywhere)]
+        channel = replace(estimate, starts=fit.starts, findings=fit_findings)
+        advised = _findings_of_channel(channel, pairs[name], superfluous, kind)
+        findings = [*fit_findings, *(f for f in advised if f.about not in topics)]
         # A model of a constant level has a pole near 1, too.
-        level = any(f.about == "level" for f in found)
-        found = [f for f in found if not (level and f.about == "integrator")]
-        yield name, Advice(of=f"{model[name].label} of {name[0]}", findings=tuple(found))
+        level = any(f.about == "level" for f in findings)
+        findings = [f for f in findings if not (level and f.about == "integrator")]
+        yield name, Advice(of=f"{model[name].label} of {name[0]}", findings=tuple(findings))
 
 
 def _cancels(pole: complex, pairs: list[_Pair]) -> bool:
     return any(abs(pole - other) < _SAME_POLE for other, *_ in pairs)
 
 
-def _advised(
+def _findings_of_channel(
     fit: Fit, pairs: list[_Pair], superfluous: list[_Pair], kind: RegisteredStructure
 ) -> Iterator[Finding]:
     if fit.converged and fit.agreed:
@@ -236,7 +236,7 @@ def _real_poles(fit: Fit) -> list[tuple[float, float]]:
 
 def _about_pole_at_1(fit: Fit, kind: RegisteredStructure) -> Iterator[Finding]:
     at_1 = [pole for pole in _real_poles(fit) if may_be_one(*pole, fit.N)]
-    if not fit.integrator and (at_1 or known_to_integrate(fit.output)):
+    if not fit.integrator and (at_1 or integrates_by_name(fit.output)):
         text = f"{fit.output} integrates, and no pole of the model is 1"
         text = f"pole {near_one(*at_1[0])} is 1 within its accuracy" if at_1 else text
         has = kind.continuous or "integrator" in kind.takes
@@ -282,9 +282,9 @@ class Tested:
         return self.loop is not None and self.loop.sure
 
 
-def tested(data: Dataset, integrator: bool | None, whole: Signals | None) -> Tested:
-    """Test data for an integrator, feedback and a delay; `whole` has all inputs of the output."""
-    decided = integration(data, integrator, whole)
+def preliminary_tests(data: Dataset, integrator: bool | None, all_inputs: Signals | None) -> Tested:
+    """Test for an integrator, feedback and a delay; `all_inputs` has all inputs of the output."""
+    decided = integration(data, integrator, all_inputs)
     late: Delay | str
     try:
         late = delay(data, integrator=decided.integrates)
@@ -306,40 +306,40 @@ def _loop(data: Dataset) -> OpenLoop | None:
 def doubts_of_channels(data: Signals) -> Iterator[Finding]:
     """Yield the doubts about each input, and about the feedback in each channel."""
     for input in data.inputs:
-        found = _about_input(data.dataset(data.outputs[0], input))
-        if found.level != "good":
-            yield replace(found, text=f"{input}: {found.text}")
+        finding = _about_input(data.dataset(data.outputs[0], input))
+        if finding.level != "good":
+            yield replace(finding, text=f"{input}: {finding.text}")
         for output in data.outputs:
             loop = _loop(data.dataset(output, input))
-            known = Tested(integration=Integration(integrates=False), loop=loop, late="")
-            for found in about_feedback(known) if known.together else ():
-                yield replace(found, text=f"{input} to {output}: {found.text}")
+            tests = Tested(integration=Integration(integrates=False), loop=loop, late="")
+            for finding in about_feedback(tests) if tests.together else ():
+                yield replace(finding, text=f"{input} to {output}: {finding.text}")
 
 
 def examine_experiment(
-    data: Dataset, known: Tested, whole: Signals | None = None
+    data: Dataset, tests: Tested, all_inputs: Signals | None = None
 ) -> Iterator[Finding]:
-    """Yield the findings that need no model; `whole` has all inputs of the output."""
-    whole = whole or data.signals()
+    """Yield the findings that need no model; `all_inputs` has all inputs of the output."""
+    all_inputs = all_inputs or data.signals()
     yield _about_input(data)
-    yield _about_integrator(known.integration)
+    yield _about_integrator(tests.integration)
     yield from _about_rails(data)
     if data.missing:
         share = data.missing / data.N
         text = f"{percent(100 * share)} of the samples: no estimator replaces them by a value"
         yield (good if share < _MAX_MISSING_SHARE else warning)("missing", text)
-    if not known.together:  # in closed loop a step of the set point makes y and u jump
-        yield _about_outliers(whole)
-    if not known.integration.integrates and not known.integration.unstable:
-        if level := level_without_input(whole):
+    if not tests.together:  # in closed loop a step of the set point makes y and u jump
+        yield _about_outliers(all_inputs)
+    if not tests.integration.integrates and not tests.integration.unstable:
+        if level := level_without_input(all_inputs):
             remedy = OFFSET_OF_TRANSIENT if data.trends else NO_OPTION
             yield replace(level, text=f"{level.text}: {remedy}")
         yield from _about_drift(data)
-    if known_to_integrate(data.output) and LINE in codes_of(data.history):
+    if integrates_by_name(data.output) and LINE in codes_of(data.history):
         text = "a line was removed from an output that integrates: it was the response to the mean "
         yield warning("trend", text + "of u, not a drift; begin again from the recording")
-    yield from about_feedback(known)
-    yield _about_delay(known)
+    yield from about_feedback(tests)
+    yield _about_delay(tests)
 
 
 def examine_fit_of(
@@ -355,25 +355,25 @@ def examine_fit_of(
         yield from (f for f in doubts_of_channels(data.signals()) if f.remedy != "noise")
         return
     data = data.signals().dataset()
-    known = tested(data, fit.integrator or integrator, None)
+    tests = preliminary_tests(data, fit.integrator or integrator, None)
     free = isinstance(fit.form, TransferFunction) and fit.form.delay_estimated
     in_s, fit = fit.Ts == 0, fit.to_discrete() if fit.Ts == 0 else fit
     order, needed = excitation_order(data), sum(s.stop - s.start for s in map(fit.slice_of, "bfa"))
     if order < needed and not constant_input(data):
-        one, more = "parameter of the model describes", "parameters of the model describe"
-        many = f"{plural(needed, one, more)} the response to u"
+        singular, more = "parameter of the model describes", "parameters of the model describe"
+        many = f"{plural(needed, singular, more)} the response to u"
         yield warning("excitation", f"{poor_input(order, many)}, or lower the orders")
     yield from _about_rails(data)
     poles = fit.poles()
     apart = np.all(np.abs(poles.values - 1) > _MIN_POLE_SIGMAS * np.asarray(poles.std))
-    if known.integration.notes and not fit.integrator and not (fit.converged and apart):
-        found = _about_integrator(known.integration)
-        yield replace(found, level="warning", remedy=found.remedy or "integrator")
-    if known.together and not (known.loop and known.loop.laws):  # the fit has a finding on laws
-        yield from about_feedback(known)
-    late = known.late
+    if tests.integration.notes and not fit.integrator and not (fit.converged and apart):
+        finding = _about_integrator(tests.integration)
+        yield replace(finding, level="warning", remedy=finding.remedy or "integrator")
+    if tests.together and not (tests.loop and tests.loop.laws):  # the fit has a finding on laws
+        yield from about_feedback(tests)
+    late = tests.late
     if isinstance(late, str):
-        yield _about_delay(known)
+        yield _about_delay(tests)
     elif not (free or late.interval[0] <= fit.nk <= late.interval[1]):
         way_out = 'estimate the delay (delay "estimate")' if in_s else f"use nk={late.nk}"
         text = f"u acts from lag {late.nk} on, and the model begins at lag {fit.nk}: {way_out}"
@@ -425,7 +425,7 @@ def _about_integrator(decided: Integration) -> Finding:
 
 def without_others(others: tuple[str, ...]) -> str:
     """Return a text about inputs without which y would seem to integrate; "" without such."""
-    return f"; without {listed(others)}, y would seem to integrate" if others else ""
+    return f"; without {join_names(others)}, y would seem to integrate" if others else ""
 
 
 def _about_outliers(data: Signals) -> Finding:
@@ -444,19 +444,19 @@ def _about_outliers(data: Signals) -> Finding:
 
 def _about_drift(data: Dataset) -> Iterator[Finding]:
     with suppress(ValueError):
-        found = drift(data, integrator=False)
-        for i, line in enumerate(found, 1):
-            name = "drift" if len(found) == 1 else f"drift {i}"
+        lines = drift(data, integrator=False)
+        for i, line in enumerate(lines, 1):
+            name = "drift" if len(lines) == 1 else f"drift {i}"
             drifts = abs(line.z) > BAND_99_PERCENT
             remedy = "; remove it, detrend(data, order=1)" if drifts else ""
             yield (warning if drifts else good)(name, f"{line}{remedy}")
 
 
-def about_feedback(known: Tested) -> list[Finding]:
+def about_feedback(tests: Tested) -> list[Finding]:
     """Return the result of the test for feedback; [] without a test."""
-    if (loop := known.loop) is None:
+    if (loop := tests.loop) is None:
         return []
-    able = "ARMAX or ARX" if known.integration.unstable else "ARMAX or BJ"
+    able = "ARMAX or ARX" if tests.integration.unstable else "ARMAX or BJ"
     if loop.laws:
         text = f"controlled by {laws_text(loop.laws)}: coloured noise in the loop biases OE, "
         text += f"spectra and correlations; use {able} with nk >= 1, or armrig.two_stage"
@@ -467,10 +467,10 @@ def about_feedback(known: Tested) -> list[Finding]:
     p = f"p {p_relation(loop.p_value)}"
     if not loop.feedback:
         return [good("feedback", f"none is found ({p})")]
-    what = f"the data look as if u depends on {loop.output}"
+    claim = f"the data look as if u depends on {loop.output}"
     if loop.may_be_direct_term:
-        what += f", or {loop.output} on u of the same sample"
-    text = f"{what} ({p}): with feedback, OE, spectra and correlations are biased; use {able} "
+        claim += f", or {loop.output} on u of the same sample"
+    text = f"{claim} ({p}): with feedback, OE, spectra and correlations are biased; use {able} "
     text = "; ".join([f"{text}with nk >= 1, or record in open loop", *loop.remarks])
     if loop.p_value >= CHANCE_LEVEL:
         chance = f"one open-loop recording in {1 / loop.level:.0f} has p < {loop.level:g}"
@@ -478,8 +478,8 @@ def about_feedback(known: Tested) -> list[Finding]:
     return [warning("feedback", text, "check")]
 
 
-def _about_delay(known: Tested) -> Finding:
-    late = known.late
+def _about_delay(tests: Tested) -> Finding:
+    late = tests.late
     if isinstance(late, str):
         return warning("delay", f"not found: {late}")
     return good("delay", late.answer if late.told else f"{late.answer}; take nk = {late.nk}")

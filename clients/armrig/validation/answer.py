@@ -11,7 +11,7 @@ from armrig.data.finding import FEW_SAMPLES
 from armrig.data.step import TWO_STAGE, codes_of
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
-from armrig.numerics.quantities import listed
+from armrig.numerics.quantities import join_names
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.advice import COLOURED
 from armrig.validation.comparison import Comparison, ComparisonTable
@@ -46,8 +46,8 @@ def answer(
     fits = [
         f"{name} to {q.fit_percent:.2f} %" for name, q in zip(fit.outputs, fit.quality, strict=True)
     ]
-    said = (
-        f"{fit.heading} fits {listed(fits)} one step ahead; "
+    sentences = (
+        f"{fit.heading} fits {join_names(fits)} one step ahead; "
         f"{whiteness_sentence(fit, 'σ', 'σ robust')}"
     )
     remedy = _DATA_FIRST if doubted else COLOURED
@@ -55,17 +55,17 @@ def answer(
         remedy = f"record {FEW_SAMPLES} samples or more first"
     if TWO_STAGE in codes_of(fit.history):
         remedy = "the deviations of two stages are valid for any colour"
-    said += f"; {remedy}." if fit.trusts_robust else "."
+    sentences += f"; {remedy}." if fit.trusts_robust else "."
     feedback = [f for f in (*fit.findings, *doubts) if f.about == "feedback"]
     if laws := [f.text for f in feedback if f.remedy == "noise"]:
-        said = f"{laws[0][0].upper()}{laws[0][1:]}.\n{said}"
+        sentences = f"{laws[0][0].upper()}{laws[0][1:]}.\n{sentences}"
     elif feedback:
-        said += " But the data show feedback, or a direct term: see below."
+        sentences += " But the data show feedback, or a direct term: see below."
     if validation is None or tests is None:
         untested = all(isnan(q.white.p_value) for q in fit.quality)
-        return said if untested else f"{said}\n{_MORE_TESTS}"
-    said += f"\nSimulated on the validation data it fits {simulation(validation.rows)}."
-    return f"{said}\n{tests_sentence(tests)}."
+        return sentences if untested else f"{sentences}\n{_MORE_TESTS}"
+    sentences += f"\nSimulated on the validation data it fits {simulation(validation.rows)}."
+    return f"{sentences}\n{tests_sentence(tests)}."
 
 
 def simulation(rows: Sequence[Comparison]) -> str:
@@ -74,7 +74,7 @@ def simulation(rows: Sequence[Comparison]) -> str:
     The text is the end of a sentence whose subject is the model.
     """
     texts = [f"{row.output} to {_errors(row)}" for row in rows]
-    return listed(texts) + _ON_OWN_DATA * rows[0].on_estimation_data
+    return join_names(texts) + _ON_OWN_DATA * rows[0].on_estimation_data
 
 
 def closest(table: ComparisonTable) -> str:
@@ -82,32 +82,34 @@ def closest(table: ComparisonTable) -> str:
     how = "Simulated" if table.horizon is None else f"Predicted {table.horizon} ahead"
     if len(table.models) == 1:
         return f"{how}, {table[0].name} fits {simulation(table.models[0])}."
-    of: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = {}
     for output in table.outputs:
         rows = table.of(output).rows
         best = int(np.nanargmin([row.rms_error for row in rows]))
-        of.setdefault(rows[best].name, []).append(output)
-    said = [f"{name} has the least error of {listed(outputs)}" for name, outputs in of.items()]
-    return f"{how}, {listed(said)}."
+        groups.setdefault(rows[best].name, []).append(output)
+    texts = [
+        f"{name} has the least error of {join_names(outputs)}" for name, outputs in groups.items()
+    ]
+    return f"{how}, {join_names(texts)}."
 
 
 def _errors(row: Comparison) -> str:
     velocity = row.velocity_fit_percent
-    said = f"{row.fit_percent:.2f} % (rms {row.rms_error:.4g} {row.unit}".rstrip()
-    return said + (f", velocity {velocity:.2f} %)" if velocity is not None else ")")
+    text = f"{row.fit_percent:.2f} % (rms {row.rms_error:.4g} {row.unit}".rstrip()
+    return text + (f", velocity {velocity:.2f} %)" if velocity is not None else ")")
 
 
 def tests_sentence(tests: ResidualTest) -> str:
     """Return the results of the tests of the residuals, with p values and the level."""
     texts: dict[str, list[str]] = {"unusable": [], "warning": [], "good": []}
-    for found in results(tests):
-        texts[found.level].append(found.text)
+    for finding in results(tests):
+        texts[finding.level].append(finding.text)
     failed, doubts, passed = texts.values()
-    rest = [f"passed: {', '.join(passed)}"] if passed else []
+    passing = [f"passed: {', '.join(passed)}"] if passed else []
     if failed:
-        return f"Its residuals do not pass: {'; '.join([*failed, *doubts, *rest, LEVEL])}"
+        return f"Its residuals do not pass: {'; '.join([*failed, *doubts, *passing, LEVEL])}"
     if tests.powerless:
         return f"The tests of its residuals have no power: {tests.powerless}"
     if doubts:
-        return f"It is not clear that its residuals pass: {'; '.join([*doubts, *rest, LEVEL])}"
+        return f"It is not clear that its residuals pass: {'; '.join([*doubts, *passing, LEVEL])}"
     return f"Its residuals pass: {', '.join(passed)}; {LEVEL}"

@@ -14,13 +14,13 @@ from armrig.data.argument import takes_data
 from armrig.data.columns import index_of
 from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import Finding
-from armrig.data.treatment import difference, known_to_integrate
+from armrig.data.treatment import difference, integrates_by_name
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
 from armrig.models.fit import Fit
 from armrig.models.prediction import findings_on_own_data
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.quantities import plural
-from armrig.plots.layout import drawn_by, html
+from armrig.plots.layout import html, plot_method
 from armrig.validation.model_differences import explanation, table
 
 Mask = NDArray[np.bool_]
@@ -131,14 +131,14 @@ class ComparisonTable:
         lines = [[f"{output}:", *text(self.of(output).rows)] for output in self.outputs]
         return "\n".join(line for of_output in lines for line in of_output)
 
-    plot = drawn_by("plot_compare", "data, models and errors")
+    plot = plot_method("plot_compare", "data, models and errors")
 
     _repr_html_ = html
 
     def __repr__(self) -> str:
         """Return a line for each model; a model of several outputs has a line for each output."""
-        what = "simulation" if self.horizon is None else f"{plural(self.horizon, 'sample')} ahead"
-        lines = [f"{what}; {self.note}"]
+        kind = "simulation" if self.horizon is None else f"{plural(self.horizon, 'sample')} ahead"
+        lines = [f"{kind}; {self.note}"]
         if len(self.outputs) == 1:
             width = max(len(row.name) for row in self.rows)
             return "\n".join([*lines, *(row_line(f"{r.name:{width}}", r) for r in self.rows)])
@@ -238,7 +238,7 @@ def compare(
     integrators = [model.form.integrators for model in models]
     note = "initial state" + " and input offset" * bool(np.any(integrators))
     rows = [
-        _compared(data, model, name, horizon, np.any(integrators, axis=0))
+        _comparisons(data, model, name, horizon, np.any(integrators, axis=0))
         for model, name in zip(models, names, strict=True)
     ]
     return ComparisonTable(
@@ -249,7 +249,7 @@ def compare(
     )
 
 
-def _compared(
+def _comparisons(
     data: Dataset | Signals,
     model: Fit,
     name: str,
@@ -262,11 +262,11 @@ def _compared(
         each = [data.dataset(output, data.inputs[0]) for output in data.outputs]
     else:
         each = [data]
-    own = model.estimated_from(data)
+    on_estimation_data = model.estimated_from(data)
     for own_data, modelled, integrates in zip(each, y.T, integrators.tolist(), strict=True):
         percent, rms = _misfit(own_data.y, modelled)
         velocity = None
-        if integrates or known_to_integrate(own_data.output):
+        if integrates or integrates_by_name(own_data.output):
             of_model = own_data.replaced(y=modelled, valid=np.isfinite(modelled), step=None)
             velocity, _ = _misfit(difference(own_data).y, difference(of_model).y)
         yield Comparison(
@@ -276,7 +276,7 @@ def _compared(
             fit_percent=percent,
             rms_error=rms,
             velocity_fit_percent=velocity,
-            on_estimation_data=own,
+            on_estimation_data=on_estimation_data,
             y=modelled,
             model=model,
         )

@@ -13,7 +13,7 @@ from armrig.data.figures import without_ramp
 from armrig.models.spectral_estimate import gain_unit
 from armrig.numerics.quantities import NBSP, error, minus, p_relation, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL, Whiteness
-from armrig.plots.captions import legend, named, sign
+from armrig.plots.captions import axis_label, legend, sign
 from armrig.plots.layout import (
     BLUE,
     COLOURS,
@@ -93,8 +93,8 @@ def plot_compare(table: ComparisonTable, *, ax: Axes | None = None) -> Axes:
     below.axhline(0, color=INK, lw=0.6)
     linear = _limit_errors(below, data, compared, best)
     # Not autoscaled: at missing samples the initial transient of a model may be far off.
-    shown = np.concatenate([(y - ramp)[data.valid] for y in (data.y, *(r.y for r in compared))])
-    measured, all_ = _range(data.y - ramp), _range(shown[np.isfinite(shown)])
+    all_y = np.concatenate([(y - ramp)[data.valid] for y in (data.y, *(r.y for r in compared))])
+    measured, all_ = _range(data.y - ramp), _range(all_y[np.isfinite(all_y)])
     span = measured[1] - measured[0] or 1.0
     ax.set_ylim(
         max(all_[0], measured[0] - span) - 0.05 * span,
@@ -114,14 +114,14 @@ def plot_compare(table: ComparisonTable, *, ax: Axes | None = None) -> Axes:
 def _plot_outputs(table: ComparisonTable, ax: Axes | None) -> Axes:
     """Plot each measured output and the outputs of all models against time."""
     data, outputs = table.data, table.outputs
-    shown = rows(ax or high_axes(len(outputs)), len(outputs))
-    for i, (panel, output) in enumerate(zip(shown, outputs, strict=True)):
+    panel_rows = rows(ax or high_axes(len(outputs)), len(outputs))
+    for i, (panel, output) in enumerate(zip(panel_rows, outputs, strict=True)):
         of_output = table.of(output).rows
         y = data.y[:, data.outputs.index(output)] if isinstance(data, Signals) else data.y
         panel.plot(data.t, y, color=MISSING, lw=4.5, label="measured")
         for row, pen in zip(of_output, pens(len(of_output)), strict=True):
             panel.plot(data.t, row.y, label=None if i else row.name, **pen)
-        panel.set_ylabel(named(output, of_output[0].unit))
+        panel.set_ylabel(axis_label(output, of_output[0].unit))
         fits = ", ".join(f"{row.fit_percent:.1f} %" for row in of_output)
         panel.annotate(
             f"fit {fits}",
@@ -131,9 +131,9 @@ def _plot_outputs(table: ComparisonTable, ax: Axes | None) -> Axes:
             va="bottom",
             fontsize="small",
         )
-    shown[-1].set_xlabel("$t$ [s]")
-    finish(*shown, xlim=(float(np.min(data.t)), float(np.max(data.t)) or 1.0))
-    return sign(shown[0], data.source, above=legend(shown[0]))
+    panel_rows[-1].set_xlabel("$t$ [s]")
+    finish(*panel_rows, xlim=(float(np.min(data.t)), float(np.max(data.t)) or 1.0))
+    return sign(panel_rows[0], data.source, above=legend(panel_rows[0]))
 
 
 def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Comparison], best: int) -> float:
@@ -201,12 +201,12 @@ def plot_residuals(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
     return sign(ax, test.source, above=legend(ax, _verdict(test.white)))
 
 
-def _verdict(found: Whiteness) -> str:
+def _verdict(whiteness: Whiteness) -> str:
     """Return whether the residuals are white, with the p value and the level, as text."""
-    if np.isnan(found.p_value) or found.unclear:
-        return f"residuals {found}"
-    verdict = "coloured" if found.coloured else "white"
-    return f"residuals {verdict}: {_p(found.p_value)} ({_JOINT})"
+    if np.isnan(whiteness.p_value) or whiteness.unclear:
+        return f"residuals {whiteness}"
+    verdict = "coloured" if whiteness.coloured else "white"
+    return f"residuals {verdict}: {_p(whiteness.p_value)} ({_JOINT})"
 
 
 def _p(p: float) -> str:
@@ -215,9 +215,9 @@ def _p(p: float) -> str:
 
 def _plot_rows(test: ResidualTest, ax: Axes | None) -> Axes:
     """Show a row for each output: residual autocorrelation, and correlation with each input."""
-    own = ax is None
+    new_figure = ax is None
     ax = axes(ax)
-    if own:
+    if new_figure:
         size = COLUMN_WIDTH * (1 + len(test.inputs)), ROW_HEIGHT * len(test.outputs) + 0.4
         ax.figure.figure.set_size_inches(*size)
     place: Any = ax.get_subplotspec()
@@ -272,8 +272,8 @@ def plot_structure(hints: StructureHints, *, ax: Axes | None = None) -> Axes:
 
     ax, below = panels(ax, 0.4, sharex=False)
     s = hints.spectrum
-    known = np.isfinite(s.G) & (s.omega > 0)
-    w, magnitude = s.omega[known], s.magnitude[known]
+    finite = np.isfinite(s.G) & (s.omega > 0)
+    w, magnitude = s.omega[finite], s.magnitude[finite]
     trusted = max(hints.trusted, float(w[0]))
     ax.plot(w, decibels(magnitude), color=BLUE, lw=1.1, label="$|G|$, spectral analysis")
     for slope, at, name, dash in (
@@ -317,37 +317,37 @@ def plot_structure(hints: StructureHints, *, ax: Axes | None = None) -> Axes:
     return sign(ax, s.source, above=legend(ax, lift=hertz(ax)))
 
 
-def plot_search(found: SearchResult, *, ax: Axes | None = None) -> Axes:
+def plot_search(result: SearchResult, *, ax: Axes | None = None) -> Axes:
     """Show the error on the validation data against the number of parameters, by structure.
 
     For each structure, a line joins the points of least error at each number of parameters. A ring
     marks the chosen model.
     """
     ax = axes(ax)
-    d = np.array([scored.parameters for scored in found.ranked])
-    families = [scored.candidate.request.structure for scored in found.ranked]
-    shown = found.rms <= _MOST * float(found.rms[0])
+    d = np.array([scored.parameters for scored in result.ranked])
+    families = [scored.candidate.request.structure for scored in result.ranked]
+    visible = result.rms <= _MOST * float(result.rms[0])
     for k, family in enumerate(dict.fromkeys(sorted(families))):
-        mine = np.array([f == family for f in families]) & shown
+        mine = np.array([f == family for f in families]) & visible
         colour, marker = COLOURS[k % len(COLOURS)], _MARKERS[k % len(_MARKERS)]
         if not mine.any():
             continue
-        ax.plot(d[mine], found.rms[mine], marker, color=colour, ms=3.5, alpha=0.6, mew=0)
+        ax.plot(d[mine], result.rms[mine], marker, color=colour, ms=3.5, alpha=0.6, mew=0)
         counts = np.unique(d[mine])
-        least = [float(found.rms[mine & (d == n)].min()) for n in counts]
+        least = [float(result.rms[mine & (d == n)].min()) for n in counts]
         ax.plot(counts, least, marker=marker, color=colour, ms=4.5, lw=1.1, label=family.upper())
-    i = found.chosen_index
-    at = (float(d[i]), float(found.rms[i]))
-    chosen = f"chosen: {found.ranked[i].candidate.name}"
+    i = result.chosen_index
+    at = (float(d[i]), float(result.rms[i]))
+    chosen = f"chosen: {result.ranked[i].candidate.name}"
     ax.plot(*at, "o", color=INK, ms=12, mfc="none", mew=1.5, ls="none", label=chosen)
     ax.axhline(at[1], color=GREY, lw=0.6, ls=":")
-    logarithmic(ax.yaxis, 0.8 * float(found.rms[0]), 1.3 * float(found.rms[shown].max()))
+    logarithmic(ax.yaxis, 0.8 * float(result.rms[0]), 1.3 * float(result.rms[visible].max()))
     ax.locator_params(axis="x", integer=True)
-    how = "simulated" if found.horizon is None else f"{found.horizon} ahead"
+    how = "simulated" if result.horizon is None else f"{result.horizon} ahead"
     ax.set_xlabel("number of parameters")
-    ax.set_ylabel(f"rms error, {how} [{found.unit or '–'}]")
+    ax.set_ylabel(f"rms error, {how} [{result.unit or '–'}]")
     finish(ax)
-    off = np.count_nonzero(~shown)
+    off = np.count_nonzero(~visible)
     legend(
         ax,
         *(
@@ -362,16 +362,16 @@ def plot_search(found: SearchResult, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_linearity(found: Linearity, *, ax: Axes | None = None) -> Axes:
+def plot_linearity(test: Linearity, *, ax: Axes | None = None) -> Axes:
     """Show the static gain against the level of the input or the output that determines it."""
     ax = axes(ax)
-    if not found.levels.size:
-        ax.text(0.5, 0.5, drawable(found.reason), transform=ax.transAxes, ha="center")
+    if not test.levels.size:
+        ax.text(0.5, 0.5, drawable(test.reason), transform=ax.transAxes, ha="center")
         return ax
-    ax.plot(found.levels, found.gains, "o-", color=COLOURS[0], ms=3.5)
-    u, y = (found.units[name] or "–" for name in (found.input, found.output))
-    ax.set_xlabel(f"{found.gain_of} [{found.units[found.gain_of] or '–'}]")
+    ax.plot(test.levels, test.gains, "o-", color=COLOURS[0], ms=3.5)
+    u, y = (test.units[name] or "–" for name in (test.input, test.output))
+    ax.set_xlabel(f"{test.gain_of} [{test.units[test.gain_of] or '–'}]")
     ax.set_ylabel(f"static gain [{y}/{u}]")
     finish(ax)
-    legend(ax, found.reason)
+    legend(ax, test.reason)
     return ax

@@ -18,12 +18,12 @@ from armrig.data.treatment import hampel
 from armrig.data.treatment.integrating import pole_test
 from armrig.estimation.data_faults import CONSTANT_INPUT, looking_wrong, require_moving_output
 from armrig.estimation.orders import require_samples
-from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.polynomial import Array, apply_filter
 from armrig.numerics.quantities import digits, p_relation, percent
 from armrig.numerics.regressors import long_arx
 from armrig.numerics.rounding import rounding_std
 from armrig.numerics.whiteness import effects_p_value
-from armrig.plots.layout import drawn_by
+from armrig.plots.layout import plot_method
 from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_channel
 from armrig.validation.feedback_and_delay.open_loop import (
     CHANCE_LEVEL,
@@ -157,7 +157,7 @@ class Linearity:
         null = f"Hypothesis: effects that are not linear in {self.input} do not explain the errors"
         return f"{self!r}\n{null} of a long linear model."
 
-    plot = drawn_by("plot_linearity", "the gain by level")
+    plot = plot_method("plot_linearity", "the gain by level")
 
     def __repr__(self) -> str:
         """Return the answer in a line, and the remarks."""
@@ -219,23 +219,23 @@ def linearity(data: Dataset | Signals, level: float = _LEVEL) -> Linearity | ByC
     'dead zone'
     """
     require_level(level)
-    return _judged(data.signals(), level, None)
+    return _test_robustly(data.signals(), level, None)
 
 
-def _judged(data: Signals, level: float, loop: OpenLoop | None) -> Linearity:
+def _test_robustly(data: Signals, level: float, loop: OpenLoop | None) -> Linearity:
     """Test one output; `loop` is the result of the test for feedback, if it is known.
 
     A single wrong sample is no nonlinearity: the output is tested again without wrong samples.
     """
-    result = _tested(data, level, loop)
+    result = _test_once(data, level, loop)
     if data.nu == 1 and not result.linear:
         with suppress(InputError):
             if looking_wrong(data)[0]:
-                return _tested(hampel(data), level, None)
+                return _test_once(hampel(data), level, None)
     return result
 
 
-def _tested(data: Signals, level: float, loop: OpenLoop | None) -> Linearity:
+def _test_once(data: Signals, level: float, loop: OpenLoop | None) -> Linearity:
     require_moving_output(data)
     (y,), u, together, closed, direct = data.outputs, data.inputs[0], False, False, False
     exact, channel = False, data.dataset(y, u)
@@ -293,7 +293,7 @@ def in_open_loop(data: Dataset | Signals, loop: OpenLoop | None = None) -> list[
     `loop` is the result of the test for feedback in data of one channel, if it is known.
     """
     try:
-        judged = _judged(data.signals(), _LEVEL, loop) if loop else None
+        judged = _test_robustly(data.signals(), _LEVEL, loop) if loop else None
         tested = judged or linearity(data)
     except InputError:
         return []
@@ -347,14 +347,17 @@ def _p_value(model: LongModel) -> float:
     if u.size <= _MOST_SAMPLES_OF_A_KIND:
         like_u.append(with_play(u, _PLAY))
     effects = np.vstack(
-        [filtered(model.B[0], [1.0], np.array(like_u)), filtered(model.A, [1.0], np.array(of_x))]
+        [
+            apply_filter(model.B[0], [1.0], np.array(like_u)),
+            apply_filter(model.A, [1.0], np.array(of_x)),
+        ]
     ).T
-    own, e = model.arx.errors(effects), model.arx.errors(model.y)
+    effect_errors, e = model.arx.errors(effects), model.arx.errors(model.y)
     if not model.has_errors:
         return 1.0
     moving = np.std(effects[model.arx.rows], axis=0) * np.sqrt(e.size)
-    used = np.linalg.norm(own, axis=0) > _MIN_OWN_SHARE * moving
+    used = np.linalg.norm(effect_errors, axis=0) > _MIN_OWN_SHARE * moving
     # The transients of few changes of u do not determine many effects.
     switches = int(np.count_nonzero(np.diff(model.u)))
     most = max(2, min(e.size // 40, switches // 3, _MAX_EFFECTS))
-    return effects_p_value(e, own[:, used], most, e.size - model.arx.base.rank)
+    return effects_p_value(e, effect_errors[:, used], most, e.size - model.arx.base.rank)

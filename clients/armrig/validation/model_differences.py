@@ -49,8 +49,8 @@ def table(rows: Sequence[Comparison]) -> list[str]:
     lines = []
     for name, *cells in zip(*columns, strict=True):
         first = f"{name:{widths[0]}}"
-        rest = "  ".join(f"{c:>{w}}" for c, w in zip(cells, widths[1:], strict=True))
-        lines.append(f"  {first}  {rest}".rstrip())
+        values = "  ".join(f"{c:>{w}}" for c, w in zip(cells, widths[1:], strict=True))
+        lines.append(f"  {first}  {values}".rstrip())
     return lines + _notes({row.name: t for row, t in zip(rows, figures, strict=True)})
 
 
@@ -59,8 +59,8 @@ def _notes(figures: Mapping[str, ModelCharacteristics]) -> list[str]:
     marked = {name: t for name, t in figures.items() if t.draws is not None and _poor(t)}
     if not marked:
         return []
-    of = " and ".join(marked)
-    lines = [f"  * linearisation poor ({of}): 95 % of {DRAWS} draws of the parameters"]
+    models = " and ".join(marked)
+    lines = [f"  * linearisation poor ({models}): 95 % of {DRAWS} draws of the parameters"]
     if any((t.poles_sampled & (t.poles_std > 0)).any() for t in marked.values()):
         lines.append("    the σ of a pole cannot be trusted: fit.summary() prints its range")
     lines += [
@@ -81,10 +81,10 @@ def _by_draws(t: ModelCharacteristics, name: str) -> bool:
 
 
 def _cell(t: ModelCharacteristics, name: str) -> str:
-    value, known = getattr(t, name), t.ranges[name]
+    value, band = getattr(t, name), t.ranges[name]
     if not _by_draws(t, name):
         return _figure(value, t.std[name])
-    return minus(with_range(value, float(known.low), float(known.high))) + "*"
+    return minus(with_range(value, float(band.low), float(band.high))) + "*"
 
 
 def explanation(rows: Sequence[Comparison], *, brief: bool = False) -> list[str]:
@@ -117,40 +117,40 @@ def _best(rows: Sequence[Comparison]) -> str:
         return f"{best.name} has an error of {digits(best.rms_error, 3)} rms."
     sizes = [digits(row.rms_error, 3) for row in (best, next_)]
     if sizes[0] == sizes[1]:
-        said = f"{best.name} and {next_.name} are equally close to these data, {sizes[0]} rms"
+        text = f"{best.name} and {next_.name} are equally close to these data, {sizes[0]} rms"
     else:
-        said = f"{best.name} is closest to these data, {sizes[0]} rms against {sizes[1]} of "
-        said += next_.name
+        text = f"{best.name} is closest to these data, {sizes[0]} rms against {sizes[1]} of "
+        text += next_.name
     if sizes[0] != sizes[1] and next_.rms_error < _MIN_BETTER_RATIO * best.rms_error:
-        said += ": a small difference"
+        text += ": a small difference"
     if best.on_estimation_data:
-        said += ", but it was estimated from these data: compare on another recording"
-    return f"{said}."
+        text += ", but it was estimated from these data: compare on another recording"
+    return f"{text}."
 
 
 def _hopeless(row: Comparison, reference: Comparison, *, brief: bool) -> str:
     """Return the reason why the characteristics of a poor model do not describe the rig."""
-    said = f"{row.name} has {digits(row.rms_error / reference.rms_error, 3)} times the error of "
-    said += f"{reference.name}: its characteristics differ because the model is poor"
+    text = f"{row.name} has {digits(row.rms_error / reference.rms_error, 3)} times the error of "
+    text += f"{reference.name}: its characteristics differ because the model is poor"
     if brief:
-        return f"{said}."
+        return f"{text}."
     if row.channel.structure == "arx":
-        return f"{said}. ARX assumes noise through 1/A; noise at the output biases it: take OE."
-    return f"{said}. Look at its orders and its delay."
+        return f"{text}. ARX assumes noise through 1/A; noise at the output biases it: take OE."
+    return f"{text}. Look at its orders and its delay."
 
 
 def _apart(
     row: Comparison, reference: Comparison, b: ModelCharacteristics, *, brief: bool
 ) -> Iterator[str]:
     """Yield a sentence for each characteristic that differs significantly from the reference b."""
-    a, known = row.characteristics, row.channel.output in ARM_OUTPUTS
+    a, is_arm_output = row.characteristics, row.channel.output in ARM_OUTPUTS
     if a.integrating != b.integrating:
         which = (row if a.integrating else reference).name
         yield f"Only {which} integrates: the other characteristics cannot be compared."
         return
     for name in SCALARS:
         x, y = getattr(a, name), getattr(b, name)
-        because = f"; {CAUSES[name]}" if known and not brief else ""
+        because = f"; {CAUSES[name]}" if is_arm_output and not brief else ""
         if np.isnan(x) != np.isnan(y):
             figure = _NAMES[name].partition(" [")[0]
             if np.isnan(y):

@@ -18,7 +18,7 @@ from armrig.data.argument import as_dataset, takes_data
 from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import Finding, few_samples
 from armrig.data.step import laws_of
-from armrig.data.treatment import known_to_integrate
+from armrig.data.treatment import integrates_by_name
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.data_faults import (
     CONSTANT_INPUT,
@@ -40,7 +40,7 @@ from armrig.numerics.checks import (
 )
 from armrig.numerics.criteria import batch_means, fpe, simplest_as_good, standard_error
 from armrig.numerics.rounding import rounding_std
-from armrig.validation.advice import doubts_of_channels, examine_experiment, tested
+from armrig.validation.advice import doubts_of_channels, examine_experiment, preliminary_tests
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.held_input import may_follow_output
 from armrig.validation.feedback_and_delay.open_loop import EXACT
@@ -199,17 +199,17 @@ def search(
         data = data.dataset()
     require_moving_output(data)
     rising = orders is None
-    whole, halved, orders = data, False, several("orders", _ORDERS if orders is None else orders)
+    all_data, halved, orders = data, False, several("orders", _ORDERS if orders is None else orders)
     if validation is None:
         data, validation = _estimation_and_validation(data)
-        halved = data is not whole
-    own = validation is whole
+        halved = data is not all_data
+    on_own_data = validation is all_data
     if isinstance(data, Dataset):
         validation = as_dataset(validation)
     folds = [(data, validation), *([(validation, data)] if halved else [])]
-    judged = whole if halved else validation
-    candidates, horizon, against, notes = _planned(
-        whole,
+    judged = all_data if halved else validation
+    candidates, horizon, against, notes = _plan_search(
+        all_data,
         data,
         validation,
         families,
@@ -220,18 +220,18 @@ def search(
         horizon,
         open_loop=open_loop,
     )
-    score = partial(_score, folds=folds, horizon=horizon, own=own)
+    score = partial(_score, folds=folds, horizon=horizon, on_own_data=on_own_data)
     runner = map if executor is None else executor.map
     tell = progress or (lambda done, total, name: None)
     scored: list[Scored] = []
     ranking: _Ranking | None = None
     failed: dict[Candidate, str] = {}
     stage = partial(_stage, highest=_ALWAYS_TRIED if rising else max(orders))
-    groups = [[*of] for _, of in groupby(sorted(candidates, key=stage), stage)]
+    groups = [[*members] for _, members in groupby(sorted(candidates, key=stage), stage)]
     open_loop = not all(OFFERED[c.request.structure].closed_loop for c in candidates)
     suggests = families is None and open_loop and isinstance(data, Dataset)
     # Candidates, the largest number of them, and the function that chooses them by the ranking.
-    stages: list[_Stage] = [(group, len(group), partial(_needed, group)) for group in groups]
+    stages: list[_Stage] = [(group, len(group), partial(_keep_needed, group)) for group in groups]
     again = not halved and any(c.request.starts for c in candidates)
     stages += [([], _FINALISTS, _finalists)] if again else []
     stages += [([], 1, _with_level)] if offset is None else []
@@ -239,16 +239,16 @@ def search(
     done, total = 0, sum(most for _, most, _ in stages)
     for group, most, of_ranking in stages:
         needed = group if ranking is None else of_ranking(ranking)
-        scored = [one for one in scored if one.candidate.name not in {c.name for c in needed}]
+        scored = [trial for trial in scored if trial.candidate.name not in {c.name for c in needed}]
         coming = iter(runner(score, needed))
         for k, candidate in enumerate(needed, start=done):
             tell(k, total, candidate.name)
-            if isinstance(one := next(coming), str):
-                failed[candidate] = one
+            if isinstance(trial := next(coming), str):
+                failed[candidate] = trial
             else:
-                scored.append(one)
+                scored.append(trial)
         done += most
-        ranking = _ranked(scored, judged) if scored else None
+        ranking = _rank_candidates(scored, judged) if scored else None
     tell(total, total, "")
     if ranking is None:
         first, reason = next(iter(failed.items()))
@@ -259,29 +259,29 @@ def search(
         best = ranked[chosen]
         fit, request = best.fit, best.candidate.request
         if halved or request.replicates is not None:
-            fit = structs.replace(request, replicates=None, starts=None).estimated(whole)
-        as_good = not halved or _is_as_good(fit, best.error, whole, horizon)
+            fit = structs.replace(request, replicates=None, starts=None).estimated(all_data)
+        as_good = not halved or _is_as_good(fit, best.error, all_data, horizon)
         if as_good or len(ranked) == 1:
             break
         failed[best.candidate] = _WORSE
-        ranking = _ranked([one for one in ranked if one is not best], judged)
+        ranking = _rank_candidates([trial for trial in ranked if trial is not best], judged)
     ranked[chosen] = replace(best, fit=fit)
     return SearchResult(
         ranked=tuple(ranked),
         **columns,
         chosen_index=chosen,
         failed=failed,
-        doubts=(*few_samples(whole.N), *against),
-        notes=(*([_OWN_DATA] if own else []), *notes, *([] if as_good else [_WORSE])),
+        doubts=(*few_samples(all_data.N), *against),
+        notes=(*([_OWN_DATA] if on_own_data else []), *notes, *([] if as_good else [_WORSE])),
         halved=halved,
         tests=residuals(best.fit, validation),
         horizon=horizon,
-        unit="σ" if whole.signals().ny > 1 else whole.signals().units[0],
+        unit="σ" if all_data.signals().ny > 1 else all_data.signals().units[0],
     )
 
 
-def _planned(
-    whole: _Data,
+def _plan_search(
+    all_data: _Data,
     data: _Data,
     validation: _Data,
     families: Sequence[OfferedName] | None,
@@ -295,45 +295,45 @@ def _planned(
 ) -> tuple[list[Candidate], int | None, list[Finding], list[str]]:
     """Test the data, and return the candidates, the horizon, the doubts, and the notes."""
     notes: list[str] = []
-    laws = laws_of(whole.history)
+    laws = laws_of(all_data.history)
     poles: tuple[bool | tuple[str, ...], ...]
     if isinstance(data, Dataset):
         (mark,) = (None,) if integrator is None else integrating_outputs(integrator, data)
-        require_no_copies(as_dataset(whole))
-        known = tested(data, mark, None)
-        if known.loop is not None and known.loop.exact:
+        require_no_copies(as_dataset(all_data))
+        tests = preliminary_tests(data, mark, None)
+        if tests.loop is not None and tests.loop.exact:
             raise InputError(EXACT)
-        decided, late = known.integration, known.late
+        decided, late = tests.integration, tests.late
         likely = [max(late.nk, 1)] if isinstance(late, Delay) else [1]
         direct = isinstance(late, Delay) and late.interval[0] == 0
         open_loop = open_loop and not laws
-        may_be_0 = direct and (open_loop or not (laws or may_follow_output(as_dataset(whole))))
+        may_be_0 = direct and (open_loop or not (laws or may_follow_output(as_dataset(all_data))))
         likely = [0, *likely] if may_be_0 else likely
-        both = integration(as_dataset(whole), mark).undecided
+        both = integration(as_dataset(all_data), mark).undecided
         poles = (False, True) if both else (decided.integrates,)
         if families is None:
             rows = [(name, row) for name, row in OFFERED.items() if row.searched]
-            feedback = known.loop is not None and known.loop.feedback
+            feedback = tests.loop is not None and tests.loop.feedback
             biased = ["iv4"] if feedback and not (may_be_0 or open_loop) else []
             families = [
                 name
                 for name, row in rows
-                if row.closed_loop or not (known.closed or name in biased)
+                if row.closed_loop or not (tests.closed or name in biased)
             ]
         offered = several_of("families", families, _SEARCHABLE)
         if not decided.integrates:
             offset, notes = _offset(data, validation, offset, offered)
         unbiased = laws and all(OFFERED[name].closed_loop for name in offered)
-        left_out = {"level": offset, "feedback": unbiased or not known.together}
-        doubted = (f for f in examine_experiment(data, known) if f.level != "good")
+        left_out = {"level": offset, "feedback": unbiased or not tests.together}
+        doubted = (f for f in examine_experiment(data, tests) if f.level != "good")
         against = [f for f in doubted if not left_out.get(f.about)]
         untried = [_NO_DIRECT_TERM] * (direct and not may_be_0 and nk is None)
         notes = [*decided.notes, *notes, *([_BOTH_TRIED] if both else []), *untried]
-        horizon = 1 if horizon is None and known.closed else horizon
+        horizon = 1 if horizon is None and tests.closed else horizon
     else:
         if integrator is None:
             able = families is None or "oe" in families
-            integrator = [name for name in data.outputs if able and known_to_integrate(name)]
+            integrator = [name for name in data.outputs if able and integrates_by_name(name)]
         marks = integrating_outputs(integrator, data)
         fixed = tuple(name for name, mark in zip(data.outputs, marks, strict=True) if mark)
         poles = (fixed or False,)
@@ -355,8 +355,8 @@ def _planned(
         "stable": True,  # unstable poles are reflected at |z| = 1
         "starts": "few",  # a model of too high order has many minima, but is not chosen
         "shared": isinstance(data, Signals) or None,
-        "noise": False if whole.missing else None,
-        "replicates": 0 if whole.signals().ny > 1 else None,  # they cost a hundred estimates
+        "noise": False if all_data.missing else None,
+        "replicates": 0 if all_data.signals().ny > 1 else None,  # they cost a hundred estimates
     }
     each = (_candidates(name, delays, orders, poles, options) for name in offered)
     return [*chain.from_iterable(each)], horizon, against, notes
@@ -409,7 +409,7 @@ def _stage(candidate: Candidate, highest: int) -> int:
     return int(not (candidate.named_by_pole and candidate.request.structure == "n4sid"))
 
 
-def _needed(candidates: list[Candidate], ranking: _Ranking) -> list[Candidate]:
+def _keep_needed(candidates: list[Candidate], ranking: _Ranking) -> list[Candidate]:
     """Return the candidates of a stage that the earlier stages do not exclude.
 
     If each model with a pole at 1 is worse than the best model without by more than
@@ -466,12 +466,12 @@ def _processes(ranking: _Ranking) -> list[Candidate]:
 
 
 def _score(
-    candidate: Candidate, folds: list[_Fold], horizon: int | None, *, own: bool = False
+    candidate: Candidate, folds: list[_Fold], horizon: int | None, *, on_own_data: bool = False
 ) -> Scored | str:
     """Return the candidate's first model and the errors of each model, or why none is usable.
 
     The errors are in the order of time: those of the second model precede. The FPE scales errors on
-    the model's `own` data.
+    the model's `on_own_data` data.
     """
     fits, errors, ahead = list[Fit](), list[Vector](), list[Vector]()
     try:
@@ -487,13 +487,13 @@ def _score(
     except (ValueError, np.linalg.LinAlgError) as err:
         return str(err)
     error, d = np.concatenate(errors), free_parameters(fits[0]) + candidate.named_by_level
-    scale = np.sqrt(fpe(1.0, d, int(np.isfinite(error).sum()))) if own else 1.0
+    scale = np.sqrt(fpe(1.0, d, int(np.isfinite(error).sum()))) if on_own_data else 1.0
     return Scored(
         candidate=candidate, fit=fits[0], error=scale * error, ahead=scale * np.concatenate(ahead)
     )
 
 
-def held_out_errors(data: Dataset, requests: Sequence[Request]) -> Vector:
+def cross_validation_errors(data: Dataset, requests: Sequence[Request]) -> Vector:
     """Return the rms errors of simulations of each half by the model of the other half.
 
     The error is NaN for a request without a usable model, or if u rests in a half.
@@ -507,7 +507,7 @@ def held_out_errors(data: Dataset, requests: Sequence[Request]) -> Vector:
             k: s for k, c in enumerate(each) if isinstance(s := _score(c, folds, None), Scored)
         }
         if scored:
-            loss, *_ = _compared([s.error for s in scored.values()], data)
+            loss, *_ = _compare_errors([s.error for s in scored.values()], data)
             rms[list(scored)] = np.sqrt(loss)
     return rms
 
@@ -523,17 +523,17 @@ def _fault(fit: Fit, error: Vector, data: _Data) -> str:
     return next((f.text for f in fit.findings if "modulus" in f.numbers), "")
 
 
-def _ranked(scored: list[Scored], judged: _Data) -> _Ranking:
+def _rank_candidates(scored: list[Scored], judged: _Data) -> _Ranking:
     """Return the candidates, best first; their rms, excess and its standard error; the choice."""
-    loss, excess, excess_std = _compared([j.error for j in scored], judged)
+    loss, excess, excess_std = _compare_errors([j.error for j in scored], judged)
     order = np.argsort(excess, kind="stable")
     ranked, rms = [scored[i] for i in order], np.sqrt(loss)
-    as_good = (excess <= excess_std) & (rms - rms.min() <= _allowed(judged))
+    as_good = (excess <= excess_std) & (rms - rms.min() <= _error_allowance(judged))
     # Below a ratio, since batches that differ much have a large standard error.
     as_good &= (rms <= MAX_ERROR_RATIO * rms.min()) | (excess == 0)
     columns = {"rms": rms, "excess": excess, "excess_std": excess_std, "as_good": as_good}
     within = np.flatnonzero(as_good[order])
-    _, ahead, ahead_std = _compared([ranked[i].ahead for i in within], judged)
+    _, ahead, ahead_std = _compare_errors([ranked[i].ahead for i in within], judged)
     # An unproven direct term counts as half a parameter, so that nk=1 is preferred to nk=0.
     complexity = [
         ranked[i].parameters + 0.5 * (ranked[i].candidate.request.nk == 0) for i in within
@@ -542,7 +542,7 @@ def _ranked(scored: list[Scored], judged: _Data) -> _Ranking:
     return ranked, {name: x[order] for name, x in columns.items()}, chosen
 
 
-def _allowed(data: _Data) -> float:
+def _error_allowance(data: _Data) -> float:
     """Return the rms error that lowers a fit by `_MAX_LOST_FIT`."""
     y = np.where(data.valid, data.y, np.nan)
     return _MAX_LOST_FIT * (float(np.nanstd(y)) if y.ndim == 1 else y.shape[1] ** 0.5)
@@ -550,14 +550,14 @@ def _allowed(data: _Data) -> float:
 
 def _is_as_good(fit: Fit, error: Vector, data: _Data, horizon: int | None) -> bool:
     """Return whether a model's errors on its own data are no larger than those of the halves."""
-    own = data.y - fit.predict(data, horizon=horizon)
-    if _fault(fit, own, data):
+    own_error = data.y - fit.predict(data, horizon=horizon)
+    if _fault(fit, own_error, data):
         return False
-    rms = np.sqrt(_compared([own, error], data)[0])
-    return bool(rms[0] - rms[1] <= _allowed(data))
+    rms = np.sqrt(_compare_errors([own_error, error], data)[0])
+    return bool(rms[0] - rms[1] <= _error_allowance(data))
 
 
-def _compared(errors: list[Vector], judged: _Data) -> tuple[Vector, Vector, Vector]:
+def _compare_errors(errors: list[Vector], judged: _Data) -> tuple[Vector, Vector, Vector]:
     """Return each model's mean squared error, its excess over the least, and the standard error."""
     y = np.where(judged.valid, judged.y, np.nan).reshape(judged.N, -1)
     std = np.nanstd(y, axis=0) if y.shape[1] > 1 else np.ones(1)

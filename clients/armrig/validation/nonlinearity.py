@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array, continued, filtered
+from armrig.numerics.polynomial import Array, apply_filter, continue_output
 from armrig.numerics.regressors import LongArx
 from armrig.numerics.rounding import without_rounding
 
@@ -74,7 +74,7 @@ class LongModel:
 
     def course(self, A: Array, B: Array, U: Array) -> Array:
         """Return the course of A x = sum of B_j u_j that begins like y in each experiment."""
-        return np.concatenate([continued(A, B, U[part], self.y[part]) for part in self.parts])
+        return np.concatenate([continue_output(A, B, U[part], self.y[part]) for part in self.parts])
 
     def prediction(self) -> Array:
         """Return y one step ahead, and x where y or its past is missing."""
@@ -96,7 +96,7 @@ class _Effect:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Fitted:
+class _EffectModel:
     """A model with an effect."""
 
     effect: _Effect
@@ -155,10 +155,10 @@ def nonlinearity(model: LongModel) -> Nonlinearity:
     Each effect is first fitted with x of the linear model. The best effects of each kind are then
     refined: x is simulated with the effect, and A and B are estimated with it.
     """
-    every: dict[Kind, list[_Fitted]] = {}
+    every: dict[Kind, list[_EffectModel]] = {}
     for effect in _effects(model):
         every.setdefault(effect.kind, []).append(_with_effect(model, effect))
-    refined: list[_Fitted] = []
+    refined: list[_EffectModel] = []
     for kind, fits in every.items():
         fits.sort(key=_fall)
         refined += [_refine(fit) for fit in fits[-_REFINED.get(kind, _MOST_REFINED) :]]
@@ -173,11 +173,11 @@ def nonlinearity(model: LongModel) -> Nonlinearity:
     return Nonlinearity(kind=first.effect.kind, numbers=first.effect.numbers, by=first.effect.of)
 
 
-def _fall(fit: _Fitted) -> float:
+def _fall(fit: _EffectModel) -> float:
     return fit.fall
 
 
-def _gains(fit: _Fitted) -> Nonlinearity:
+def _gains(fit: _EffectModel) -> Nonlinearity:
     """Return the gain in intervals of the level, where it is determined; else "not known".
 
     The effect is piecewise linear, because the slope of a cubic is wrong at both ends.
@@ -328,18 +328,18 @@ def _path(model: LongModel, acts: Way) -> Array:
     return np.asarray({"u": model.B[0], "past u": late, "y": model.A}[acts])
 
 
-def _with_effect(model: LongModel, effect: _Effect) -> _Fitted:
+def _with_effect(model: LongModel, effect: _Effect) -> _EffectModel:
     """Return the model with an effect, and the fall of BIC."""
     signals = np.array(effect.signals(model))
-    terms, e = filtered(_path(model, effect.acts), [1.0], signals).T, model.arx.errors(model.y)
+    terms, e = apply_filter(_path(model, effect.acts), [1.0], signals).T, model.arx.errors(model.y)
     unexplained = orthonormal(model.arx.errors(terms))
     ratio = float(np.sum(unexplained.without(e) ** 2)) / max(float(e @ e), 1e-300)
     price = (signals.shape[0] + effect.thresholds) * log(e.size)
     c, fall = unexplained.coefficients(e), -e.size * log(max(ratio, 1e-300)) - price
-    return _Fitted(effect=effect, model=model, fall=fall, c=c, terms=terms)
+    return _EffectModel(effect=effect, model=model, fall=fall, c=c, terms=terms)
 
 
-def _refine(fit: _Fitted) -> _Fitted:
+def _refine(fit: _EffectModel) -> _EffectModel:
     """Return the best of the models whose x, A and B are those with the effect."""
     effect, best = fit.effect, fit
     limit = _MAX_GROWTH * float(np.max(np.abs(fit.model.y)))

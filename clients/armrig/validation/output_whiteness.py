@@ -8,8 +8,8 @@ import numpy as np
 
 from armrig.models.predictor import PredictionErrors
 from armrig.numerics.covariance import pairwise_covariance
-from armrig.numerics.polynomial import Array, lagged
-from armrig.numerics.whiteness import NOT_TESTED, Whiteness, decided, portmanteau
+from armrig.numerics.polynomial import Array, lag_columns
+from armrig.numerics.whiteness import NOT_TESTED, Whiteness, portmanteau, whiteness_of_sums
 from armrig.validation.projection import Projection, sum_of_products
 
 
@@ -56,16 +56,16 @@ def _white(
     parts = projected.parts
     m = T.shape[0]
     used = np.flatnonzero(T.any(axis=0))
-    whole = [np.asarray(p.known[:, used].all(axis=1)) for p in parts]
-    N = int(sum(k.sum() for k in whole))
+    rows = [np.asarray(p.known[:, used].all(axis=1)) for p in parts]
+    N = int(sum(k.sum() for k in rows))
     p = parts[0].Psi.shape[2]
     if L + p + sum(part.S.shape[2] for part in parts) >= N or not _vary(parts, used):
         return NOT_TESTED
     w = [
         np.where(k[:, None], np.nan_to_num(part.e) @ T.T, 0.0)
-        for part, k in zip(parts, whole, strict=True)
+        for part, k in zip(parts, rows, strict=True)
     ]
-    past = [np.stack([lagged(column, range(1, L + 1)) for column in x.T], axis=1) for x in w]
+    past = [np.stack([lag_columns(column, range(1, L + 1)) for column in x.T], axis=1) for x in w]
     # The products of a(t) with b(t - k) are columns a, b, k.
     sums = np.sum(
         [np.einsum("ta,tbk->abk", x, late) for x, late in zip(w, past, strict=True)], axis=0
@@ -75,12 +75,12 @@ def _white(
             T.T[None, :, :, None, None] * (late * k[:, None, None])[:, None, None],
             (late.shape[0], T.shape[1], -1),
         )
-        for late, k in zip(past, whole, strict=True)
+        for late, k in zip(past, rows, strict=True)
     ]
-    pairs = np.sum([[np.sum(k[lag:] & k[:-lag]) for lag in range(1, L + 1)] for k in whole], axis=0)
+    pairs = np.sum([[np.sum(k[lag:] & k[:-lag]) for lag in range(1, L + 1)] for k in rows], axis=0)
     lost = [
-        tuple((T @ x) * k[:, None, None] for x in of)
-        for of, k in zip(projected.loss(Lambda), whole, strict=True)
+        tuple((T @ x) * k[:, None, None] for x in factors)
+        for factors, k in zip(projected.loss(Lambda), rows, strict=True)
     ]
     left = 1 - 2 * sum(np.diag(_product(b, d, 0)) for b, d in lost) / N  # of the variance of w
     V = (pairs * N / (N + 2) / np.sqrt(np.outer(left, left))[:, :, None]).ravel()
@@ -93,7 +93,7 @@ def _white(
     for b, d in lost:
         for lag in range(1, L + 1):
             mean[:, :, lag - 1] -= _product(b, d, lag) + _product(d, b, lag)
-    return decided(sums - mean.ravel(), M, V, N * m)
+    return whiteness_of_sums(sums - mean.ravel(), M, V, N * m)
 
 
 def _vary(parts: Sequence[PredictionErrors], used: Array) -> bool:

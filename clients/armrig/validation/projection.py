@@ -14,7 +14,7 @@ from armrig.numerics.polynomial import Array
 _COLUMNS = 8  # columns that are projected at once, so that only a part of a matrix is copied
 
 
-def _stacked(X: Array) -> Array:
+def _stack_outputs(X: Array) -> Array:
     """Return X (N, ny, k) as a matrix (N ny, k)."""
     return X.reshape(-1, X.shape[2])
 
@@ -43,7 +43,7 @@ class Projection:
             begun = np.flatnonzero(part.S.any(axis=(1, 2)))
             if begun.size:  # the effect of the unknown past ends early
                 some = slice(0, int(begun[-1]) + 1)
-                WS = part.weighted(part.S)[some]
+                WS = part.weight(part.S)[some]
                 _subtract(z[some], WS, sum_of_products([part.S[some]], [z[some]]))
 
     def remove_parameters(self, Z: Sequence[Array]) -> None:
@@ -52,7 +52,7 @@ class Projection:
             return
         c = sum_of_products(self.T, Z)
         for part, z, t in zip(self.parts, Z, self.T, strict=True):
-            _subtract(z, part.weighted(t), c)
+            _subtract(z, part.weight(t), c)
 
     def influence(self, Z: Sequence[Array]) -> list[Array]:
         """Return H = (1 - P)^T Z (N, ny, k) of each experiment, so that Z^T e is equal to H^T v."""
@@ -69,11 +69,11 @@ class Projection:
         shortly before its minimum.
         """
         e = [np.nan_to_num(part.e)[:, :, None] for part in self.parts]
-        WT = [part.weighted(t) for part, t in zip(self.parts, self.T, strict=True)]
+        WT = [part.weight(t) for part, t in zip(self.parts, self.T, strict=True)]
         c = sum_of_products(WT, e)
         parts = []
         for part, x, t in zip(self.parts, e, self.T, strict=True):
-            by_state = part.S @ sum_of_products([part.weighted(part.S)], [x])
+            by_state = part.S @ sum_of_products([part.weight(part.S)], [x])
             parts.append(replace(part, e=part.e - (by_state + t @ c)[:, :, 0]))
         return replace(self, parts=parts)
 
@@ -85,7 +85,7 @@ class Projection:
             states = np.zeros((*part.e.shape, int(ends[-1])))
             states[:, :, end - part.S.shape[2] : end] = part.S
             B.append(np.concatenate([states, t], axis=2))
-        WB = [part.weighted(b) for part, b in zip(self.parts, B, strict=True)]
+        WB = [part.weight(b) for part, b in zip(self.parts, B, strict=True)]
         C = [
             np.einsum("ij,tjr->tir", Lambda, wb) * part.known[:, :, None]
             for part, wb in zip(self.parts, WB, strict=True)
@@ -101,12 +101,12 @@ def _subtract(z: Array, WB: Array, c: Array) -> None:
             z[:, i, a : a + _COLUMNS] -= WB[:, i] @ c[:, a : a + _COLUMNS]
 
 
-def projection(parts: Sequence[PredictionErrors], *, own: bool) -> Projection:
-    """Return the projection on the effects of initial states and ramps (`own`: also parameters)."""
-    if not own:
+def projection(parts: Sequence[PredictionErrors], *, with_parameters: bool) -> Projection:
+    """Return the projection on effects of initial states, ramps and, if asked for, parameters."""
+    if not with_parameters:
         return Projection(parts=parts, T=[part.S[:, :, :0] for part in parts])
     G = parts[0].Psi.shape[1] > 1
-    W = orthonormal(np.vstack([_stacked(p.G @ p.Psi if G else p.Psi) for p in parts])).W
+    W = orthonormal(np.vstack([_stack_outputs(p.G @ p.Psi if G else p.Psi) for p in parts])).W
     return Projection(parts=parts, T=[part.Psi @ W for part in parts])
 
 

@@ -18,10 +18,10 @@ from armrig.estimation.orders import require_samples
 from armrig.estimation.problem import PolynomialProblem
 from armrig.estimation.start_values import start_values
 from armrig.excitation.input_description import excitation_order
-from armrig.models.innovations import prepared
+from armrig.models.innovations import prepare
 from armrig.models.structure import Structure
 from armrig.numerics.criteria import mdl
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.numerics.rounding import SEARCH_SHARE, rounding_std
 from armrig.numerics.whiteness import autoregression
 
@@ -54,7 +54,7 @@ class Recommended:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Fitted:
+class OutputErrorFit:
     """An output-error model of prewhitened data."""
 
     structure: Recommended
@@ -95,14 +95,14 @@ class Fitted:
 
     def noise(self) -> Vector:
         """Return C of the autoregression C e = white noise of the residuals e."""
-        found = self.problem.solve(self.f)
-        pairs = zip(self.problem.experiments, found.parts, strict=True)
+        solution = self.problem.solve(self.f)
+        pairs = zip(self.problem.experiments, solution.parts, strict=True)
         residuals = [np.where(x.rows, p.e, np.nan) for (x,), (p,) in pairs]
         return autoregression(residuals, mdl, self.rounding)[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Record:
+class _SharedSamples:
     """Experiments, with the largest nk, so that all structures describe the same samples of y.
 
     The difference of description lengths of other samples would depend on the unit of y.
@@ -125,10 +125,12 @@ class _Record:
         longest = max(y.size for _, y in self.parts)
         require_samples("an experiment for structure hints", needed=needed, got=longest)
 
-    def filtered(self, D: Vector) -> _Record:
+    def filtered(self, D: Vector) -> _SharedSamples:
         """Return the signals D u and D y, without the samples that need values before the start."""
         p = D.size - 1
-        parts = [(filtered(D, [1.0], u)[p:], filtered(D, [1.0], y)[p:]) for u, y in self.parts]
+        parts = [
+            (apply_filter(D, [1.0], u)[p:], apply_filter(D, [1.0], y)[p:]) for u, y in self.parts
+        ]
         return replace(self, parts=tuple(part for part in parts if part[1].size))
 
     def problem(self, s: Recommended) -> PolynomialProblem:
@@ -142,7 +144,7 @@ class _Record:
             nb=(s.nb,), nf=(s.nf - s.integrator,), nk=(s.nk - d,), integrator=letter, offset=True
         )
         parts = [(u[cut - d : u.size - d], y[cut:]) for u, y in self.parts if cut < y.size]
-        each = tuple((prepared(u, y, n),) for u, y in parts)
+        each = tuple((prepare(u, y, n),) for u, y in parts)
         return PolynomialProblem(experiments=each, rows=(n,))
 
 
@@ -163,9 +165,9 @@ def process_forms(poles: NDArray[Any], *, nk: int, integrator: bool) -> dict[int
     return forms
 
 
-def recommended(
+def recommend(
     data: Dataset, lags: Iterable[int], *, integrates: bool, decide: bool
-) -> tuple[list[Fitted], bool, list[Fitted]]:
+) -> tuple[list[OutputErrorFit], bool, list[OutputErrorFit]]:
     """Return at most three models, best first, and whether the data decide on the integrator.
 
     The third result has the model with the shortest description for each number of poles.
@@ -181,7 +183,7 @@ def recommended(
     # Each structure has an offset. Far from 0, y would lose digits in products with itself.
     parts = tuple((part.u, part.y - _level(part.y)) for part in data.experiments())
     many = max(excitation_order(data), _LEAST_PARAMETERS)
-    record = _Record(parts=parts, latest=max(*nks, 1) + _EXTRA_COEFFICIENTS, parameters=many)
+    record = _SharedSamples(parts=parts, latest=max(*nks, 1) + _EXTRA_COEFFICIENTS, parameters=many)
     record.require_samples()
     kinds = (False, True) if decide else (integrates,)
     first = [
@@ -189,44 +191,44 @@ def recommended(
     ]
     if not first:
         raise InputError("u excites no model of third order: play a telegraph or a PRBS")
-    D = _joined([first])[0].noise()
+    D = _join_scans([first])[0].noise()
     record.require_samples(past=D.size - 1)
     white = record.filtered(D)
-    scans = [_refined(white, s) for i in kinds if (s := _scanned(white, nks, integrates=i))]
-    C = _joined(scans)[0].noise()
+    scans = [_refine(white, s) for i in kinds if (s := _scan_orders(white, nks, integrates=i))]
+    C = _join_scans(scans)[0].noise()
     if C.size > 1:
-        scans = [_refined(record.filtered(np.convolve(D, C)), s) for s in scans]
-    ranked = _joined(scans)
+        scans = [_refine(record.filtered(np.convolve(D, C)), s) for s in scans]
+    ranked = _join_scans(scans)
     other = min((m.bits for m in ranked if m.structure.integrator != integrates), default=np.inf)
-    shown = other - ranked[0].bits >= BARE
-    chosen = _chosen(scans, shown=shown)
-    if not shown:
+    is_clear = other - ranked[0].bits >= BARE
+    chosen = _choose(scans, is_clear=is_clear)
+    if not is_clear:
         chosen[:2] = sorted(chosen[:2], key=lambda m: m.structure.integrator != integrates)
     same = [m for m in ranked if m.structure.integrator == chosen[0].structure.integrator]
     shortest = {m.structure.nf: m for m in reversed(same)}
-    return chosen, shown, [shortest[nf] for nf in sorted(shortest)]
+    return chosen, is_clear, [shortest[nf] for nf in sorted(shortest)]
 
 
 def _level(y: Vector) -> float:
     """Return the median of the known values; 0 without one."""
-    known = y[np.isfinite(y)]
-    return float(np.median(known)) if known.size else 0.0
+    measured = y[np.isfinite(y)]
+    return float(np.median(measured)) if measured.size else 0.0
 
 
-def _chosen(scans: list[list[Fitted]], *, shown: bool) -> list[Fitted]:
+def _choose(scans: list[list[OutputErrorFit]], *, is_clear: bool) -> list[OutputErrorFit]:
     """Return at most three structures with the shortest description lengths."""
-    ranked = min(scans, key=lambda s: s[0].bits) if shown else _joined(scans)
-    two = ranked[:2] if shown else _joined([s[:1] for s in scans])
-    full = [m for m in ranked if shown and m.structure.nb == m.structure.nf]
+    ranked = min(scans, key=lambda s: s[0].bits) if is_clear else _join_scans(scans)
+    two = ranked[:2] if is_clear else _join_scans([s[:1] for s in scans])
+    full = [m for m in ranked if is_clear and m.structure.nb == m.structure.nf]
     return [*dict.fromkeys([*two, *full[:1], *ranked])][:RECOMMENDED]
 
 
-def _joined(scans: Iterable[list[Fitted]]) -> list[Fitted]:
+def _join_scans(scans: Iterable[list[OutputErrorFit]]) -> list[OutputErrorFit]:
     """Return the structures of all scans, least description length first."""
     return sorted(chain.from_iterable(scans), key=_rank)
 
 
-def _rank(model: Fitted) -> tuple[float, int, int, int]:
+def _rank(model: OutputErrorFit) -> tuple[float, int, int, int]:
     """Return the description length; among models without errors, the simplest is first."""
     s = model.structure
     return model.bits, s.nf, s.nb, s.nk
@@ -249,46 +251,50 @@ def _arx_lags(data: Dataset) -> list[int]:
         table = select_orders(data, _ARX_ORDERS, _ARX_ORDERS, range(1, latest + 1))
     except ValueError:
         return []
-    bits, found = np.nan_to_num(table.mdl, nan=np.inf), []
+    bits, delays = np.nan_to_num(table.mdl, nan=np.inf), []
     for n in reversed(_ARX_ORDERS):
-        of = np.flatnonzero((table.na == n) & (table.nb == n))
-        found.append(int(table.nk[of[np.argmin(bits[of])]]))
-    return [int(table.nk[np.argmin(bits)]), *found]
+        rows = np.flatnonzero((table.na == n) & (table.nb == n))
+        delays.append(int(table.nk[rows[np.argmin(bits[rows])]]))
+    return [int(table.nk[np.argmin(bits)]), *delays]
 
 
-def _scanned(record: _Record, nks: list[int], *, integrates: bool) -> list[Fitted]:
+def _scan_orders(
+    record: _SharedSamples, nks: list[int], *, integrates: bool
+) -> list[OutputErrorFit]:
     """Return structures with nb = nf of all orders, least description length first."""
-    scan, least = list[list[Fitted]](), [np.inf]
+    scan, least = list[list[OutputErrorFit]](), [np.inf]
     for nf in record.orders(range(1, HIGHEST + 1)):
         models = _full(record, nf, nks, integrates)
         scan.append(models)
         least.append(min((m.bits for m in models), default=np.inf))
         if min(least[-2:]) > min(least[:-2], default=np.inf):
             break
-    return _joined(scan)
+    return _join_scans(scan)
 
 
-def _full(record: _Record, nf: int, nks: list[int], integrates: bool) -> list[Fitted]:
+def _full(
+    record: _SharedSamples, nf: int, nks: list[int], integrates: bool
+) -> list[OutputErrorFit]:
     """Return models with nb = nf at the likeliest lag, and at the two lags of least start cost."""
     structures = [Recommended(nb=nf, nf=nf, nk=k, integrator=integrates) for k in nks]
     begun = [start for s in structures if (start := _start(record, s))]
     likeliest = (*begun[:1], *sorted(begun[1:], key=itemgetter(0))[:2])
-    return [model for start in likeliest if (model := _fitted(*start[1:]))]
+    return [model for start in likeliest if (model := _fit(*start[1:]))]
 
 
-def _refined(record: _Record, ranked: list[Fitted]) -> list[Fitted]:
+def _refine(record: _SharedSamples, ranked: list[OutputErrorFit]) -> list[OutputErrorFit]:
     """Fit structures one by one, until all neighbours of the best three are fitted."""
     shortest = {m.structure.nf: m for m in reversed(ranked)}
-    found: dict[Recommended, Fitted | None] = {}
+    models: dict[Recommended, OutputErrorFit | None] = {}
     coming = [m.structure for m in (*ranked[:RECOMMENDED], *shortest.values())]
     while coming:
         starts = {s: _start(record, s) for s in dict.fromkeys(coming)}
-        found |= {s: _fitted(*start[1:]) if start else None for s, start in starts.items()}
-        fitted = _joined([[m for m in found.values() if m]])
+        models |= {s: _fit(*start[1:]) if start else None for s, start in starts.items()}
+        fitted = _join_scans([[m for m in models.values() if m]])
         if not fitted:
             return ranked
         first = fitted[:RECOMMENDED]
-        near = (s for m in first for s in _neighbours(m.structure) if s not in found)
+        near = (s for m in first for s in _neighbours(m.structure) if s not in models)
         coming = [s for s in near if s.nb + s.nf <= record.parameters]
     return fitted
 
@@ -302,7 +308,7 @@ def _neighbours(s: Recommended) -> Iterator[Recommended]:
 
 
 def _start(
-    record: _Record, s: Recommended
+    record: _SharedSamples, s: Recommended
 ) -> tuple[float, Recommended, PolynomialProblem, Vector] | None:
     """Return the start value f of least cost; None if there is none."""
     if s.nk > record.latest:
@@ -328,7 +334,7 @@ def _least_cost(problem: PolynomialProblem) -> float:
     return rows * _rounding(problem) ** 2
 
 
-def _fitted(s: Recommended, problem: PolynomialProblem, f: Vector) -> Fitted | None:
+def _fit(s: Recommended, problem: PolynomialProblem, f: Vector) -> OutputErrorFit | None:
     """Return the model that a search from f finds; None if there are too few residuals."""
     N = sum(int(np.count_nonzero(x.rows)) for (x,) in problem.experiments)
     if 3 * (s.nb + s.nf) >= N:
@@ -337,4 +343,4 @@ def _fitted(s: Recommended, problem: PolynomialProblem, f: Vector) -> Fitted | N
     past = sum(past.rank for past in problem.solve(end.theta).past)
     if past + s.nb + s.nf >= N:
         return None
-    return Fitted(structure=s, problem=problem, f=end.theta, cost=end.cost, past=past, N=N)
+    return OutputErrorFit(structure=s, problem=problem, f=end.theta, cost=end.cost, past=past, N=N)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from armrig.data.finding import Finding, good, unusable, warning
 from armrig.data.step import laws_text
 from armrig.numerics.polynomial import Array
-from armrig.numerics.quantities import digits, listed, p_relation, plural
+from armrig.numerics.quantities import digits, join_names, p_relation, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL, Whiteness
-from armrig.plots.layout import drawn_by, html
+from armrig.plots.layout import html, plot_method
 
 _DYNAMICS = "dynamics missing", "the orders or the delay"
 _HYPOTHESES = {
@@ -169,7 +169,7 @@ class ResidualTest:
             "not hold for these data"
         )
 
-    plot = drawn_by("plot_residuals", "the correlations")
+    plot = plot_method("plot_residuals", "the correlations")
 
     _repr_html_ = html
 
@@ -189,7 +189,7 @@ class ResidualTest:
         several = len(self.outputs) > 1
         white, *others = (f.text for f in results(self))
         lines = [
-            f"residuals on {where} data, {listed([str(n) for n in counts])} samples",
+            f"residuals on {where} data, {join_names([str(n) for n in counts])} samples",
             f"  {'all outputs together: ' * several}{white}",
             *(f"  {text}" for text in others),
         ]

@@ -24,7 +24,7 @@ from armrig.numerics.whiteness import (
     WHITE_LEVEL,
     autoregression,
     default_lags,
-    joined,
+    join_residuals,
     joint_p_value,
     ljung_box,
 )
@@ -121,16 +121,16 @@ def residuals(
       no dynamics missing (p = 0.02...)
       no feedback (p = 0.5...)
     """
-    data = _checked(fit, data)
-    own = fit.estimated_from(data)
-    parts, J = prediction_errors(fit, data, own=own), parameters_of(fit)
+    data = _matching_data(fit, data)
+    on_own_data = fit.estimated_from(data)
+    parts, J = prediction_errors(fit, data, on_own_data=on_own_data), parameters_of(fit)
     signals = data.signals()
     inputs = [part.u - np.mean(signals.u, axis=0) for part in signals.experiments()]
     theta_covariance = J @ fit.covariance_robust @ J.T
     ny, nu = fit.ny, fit.nu
     several = (ny, nu) != (1, 1)
     # For a subspace estimate, which does not minimise the errors, P is not known.
-    fitted = own and not (several and fit.structure == "n4sid")
+    fitted = on_own_data and not (several and fit.structure == "n4sid")
     of_theta = None if fitted else theta_covariance
     e = np.vstack([p.e for p in parts])
     # Tests of rounding errors would depend on the processor.
@@ -138,23 +138,23 @@ def residuals(
     parts = _without_rounding(parts, sizes)
     counts = np.isfinite(e).sum(axis=0)
     L = _possible(lags, int(counts.min()))
-    projected = projection(parts, own=fitted)
+    projected = projection(parts, with_parameters=fitted)
     R = _autocovariance([p.e for p in parts], L)
     if several:
         # The weights of several outputs are estimated, too.
         projected = projected.applied()
-    noise, degrees = _noise(fit, projected.parts, sizes, own=own)
-    known = degrees.size > 0
+    noise, degrees = _noise(fit, projected.parts, sizes, on_own_data=on_own_data)
+    noise_known = degrees.size > 0
     sums = _input_sums(projected, inputs, of_theta, L, noise)
     pairs = np.arange(sums.values.size).reshape(ny, nu, 2 * L + 1)
     past, future = pairs[:, :, L:], pairs[:, :, :L]
     free = counts * (1 - projected.rank / counts.sum()) if fitted else counts
-    free = degrees if known else free
+    free = degrees if noise_known else free
 
     def p_value(at: Array, N: float) -> float:
         k = at.ravel()
         s, M = sums.values[k], sums.covariance[np.ix_(k, k)]
-        return joint_p_value(s, M, _MIN_SUM_VARIANCE, N, independent=known)
+        return joint_p_value(s, M, _MIN_SUM_VARIANCE, N, independent=noise_known)
 
     def by_pair(at: Array) -> Array:
         return np.array([[p_value(k, N) for k in row] for row, N in zip(at, free, strict=True)])
@@ -163,7 +163,7 @@ def residuals(
     if p_value(past, free.sum()) < WHITE_LEVEL <= p_value(later, free.sum()):
         past, future = later, from_now
 
-    def squeezed(x: Array) -> Any:
+    def squeeze(x: Array) -> Any:
         if several:
             return x
         return float(x.item()) if x.size == 1 else x[0, 0]
@@ -179,8 +179,8 @@ def residuals(
     if_white = None if fitted else np.where(usable, J @ fit.covariance @ J.T, 0.0)
     each = white_by_output(projected, if_white, L)
     power = np.outer(*[np.sqrt(np.diag(R[:, :, 0]))] * 2)[:, :, None]
-    each_e = [joined([p.e[:, i] for p in parts], L) for i in range(ny)]
-    parameters = _noise_parameters(fit) if own else [0] * ny
+    each_e = [join_residuals([p.e[:, i] for p in parts], L) for i in range(ny)]
+    parameters = _noise_parameters(fit) if on_own_data else [0] * ny
     box = np.array([ljung_box(x, L, n) for x, n in zip(each_e, parameters, strict=True)])
     each = [replace(white, ljung_box=float(p)) for white, p in zip(each, box, strict=True)]
     white = each[0]
@@ -197,15 +197,15 @@ def residuals(
         inputs=fit.inputs,
         e=e if several else e[:, 0],
         lags=np.arange(L + 1),
-        autocorrelation=squeezed(R / np.where(power > 0, power, np.nan)),
-        autocorrelation_band=squeezed(BAND_99_PERCENT / np.sqrt(np.maximum(counts, 1))),
+        autocorrelation=squeeze(R / np.where(power > 0, power, np.nan)),
+        autocorrelation_band=squeeze(BAND_99_PERCENT / np.sqrt(np.maximum(counts, 1))),
         white_by_output=tuple(each),
         white=white,
-        ljung_box=squeezed(box),
+        ljung_box=squeeze(box),
         cross_lags=np.arange(-L, L + 1),
-        cross_correlation=squeezed(sums.values[pairs] / sums.scale[:, :, None]),
-        cross_band=squeezed(BAND_99_PERCENT * sums.known_std / sums.scale),
-        cross_std=squeezed(
+        cross_correlation=squeeze(sums.values[pairs] / sums.scale[:, :, None]),
+        cross_band=squeeze(BAND_99_PERCENT * sums.known_std / sums.scale),
+        cross_std=squeeze(
             np.sqrt(np.maximum(np.diag(sums.covariance)[pairs], 0.0)) / sums.scale[:, :, None]
         ),
         missing_dynamics_by_pair=by_pair(past),
@@ -214,16 +214,16 @@ def residuals(
         feedback=p_value(future, free.sum()),
         allowance=allowance,
         error_ratio=ratio,
-        larger_errors=min(1.0, ny * p_larger) if known else float("nan"),
-        noise_of_estimation=known,
-        on_estimation_data=own,
+        larger_errors=min(1.0, ny * p_larger) if noise_known else float("nan"),
+        noise_of_estimation=noise_known,
+        on_estimation_data=on_own_data,
         source=data.source,
         laws=laws_of(data.history),
-        findings=() if own else tuple(findings_on_own_data([(fit.label, fit)], data)),
+        findings=() if on_own_data else tuple(findings_on_own_data([(fit.label, fit)], data)),
     )
 
 
-def _checked(fit: Fit, data: Dataset | HasDataset | Signals) -> Dataset | Signals:
+def _matching_data(fit: Fit, data: Dataset | HasDataset | Signals) -> Dataset | Signals:
     """Return data with the channels of the model; refuse other data."""
     if not isinstance(fit, Fit):
         raise InputTypeError(
@@ -283,16 +283,16 @@ def _input_sums(
     parts = projected.parts
     ny, nu = parts[0].e.shape[1], inputs[0].shape[1]
     e = [[*p.e.T] for p in parts]
-    Z = [_lagged_both_ways(u, part.known, L) for u, part in zip(inputs, parts, strict=True)]
+    Z = [_lags_both_ways(u, part.known, L) for u, part in zip(inputs, parts, strict=True)]
     projected.remove_states(Z)
     sums = sum_of_products(Z, [np.nan_to_num(p.e)[:, :, None] for p in parts])[:, 0]
     at_0 = np.arange(L, ny * nu * (2 * L + 1), 2 * L + 1)
     now = [z[:, :, at_0] for z in Z]
-    own = np.arange(ny * nu) // nu  # output of each pair
-    power = np.sum([np.sum(z[:, own, np.arange(ny * nu)] ** 2, axis=0) for z in now], axis=0)
+    outputs = np.arange(ny * nu) // nu  # output of each pair
+    power = np.sum([np.sum(z[:, outputs, np.arange(ny * nu)] ** 2, axis=0) for z in now], axis=0)
     energy = np.array([sum(float(np.nansum(p.e[:, i] ** 2)) for p in parts) for i in range(ny)])
     scale = np.sqrt(power.reshape(ny, nu) * energy[:, None])
-    known = np.diag(joint_exogenous_score([[*z.transpose(1, 0, 2)] for z in now], e, noise))
+    variances = np.diag(joint_exogenous_score([[*z.transpose(1, 0, 2)] for z in now], e, noise))
     projected.remove_parameters(Z)
     M = joint_exogenous_score([[z[:, i] for i in range(ny)] for z in Z], e, noise)
     before = np.diag(M).copy()
@@ -308,17 +308,17 @@ def _input_sums(
         values=sums,
         covariance=M,
         scale=np.where(scale > 0, scale, np.inf),
-        known_std=np.sqrt(known).reshape(ny, nu),
+        known_std=np.sqrt(variances).reshape(ny, nu),
         allowance=float(np.sqrt(max(middle, 0.0))) or float("inf"),
     )
 
 
 def _noise(
-    fit: Fit, parts: Sequence[PredictionErrors], sizes: Sequence[float], *, own: bool
+    fit: Fit, parts: Sequence[PredictionErrors], sizes: Sequence[float], *, on_own_data: bool
 ) -> tuple[list[Autoregression], Array]:
     """Return the noise of each output as found at the estimation, and its degrees of freedom."""
     # Otherwise, and for a model of an older file, the noise is that of the residuals.
-    if own or not all(q.autoregression and q.loss > 0 for q in fit.quality):
+    if on_own_data or not all(q.autoregression and q.loss > 0 for q in fit.quality):
         each = [[p.e[:, i] for p in parts] for i in range(len(sizes))]
         noise = [autoregression(e, least=size) for e, size in zip(each, sizes, strict=True)]
         return noise, np.zeros(0)
@@ -334,8 +334,8 @@ def _shares(parts: Sequence[PredictionErrors], theta_covariance: Array, fit: Fit
     """Return the error of each output by uncertain parameters, as a share of the noise variance."""
     Psi = np.concatenate([p.Psi for p in parts])
     caused = np.sum((Psi @ theta_covariance) * Psi, axis=(0, 2))
-    known = np.sum([p.known.sum(axis=0) for p in parts], axis=0)
-    return np.asarray(caused / np.maximum(np.diag(fit.noise_covariance) * known, 1e-300))
+    counts = np.sum([p.known.sum(axis=0) for p in parts], axis=0)
+    return np.asarray(caused / np.maximum(np.diag(fit.noise_covariance) * counts, 1e-300))
 
 
 def _larger(
@@ -354,9 +354,9 @@ def _larger(
 
     C, s2 = noise
     w = np.concatenate([np.convolve(e, C)[: e.size] for e, _ in parts])
-    known = np.isfinite(w)
-    slope = np.vstack([lfilter(C, [1.0], Psi, axis=0) for _, Psi in parts])[known]
-    w, N = w[known], int(np.count_nonzero(known))
+    finite = np.isfinite(w)
+    slope = np.vstack([lfilter(C, [1.0], Psi, axis=0) for _, Psi in parts])[finite]
+    w, N = w[finite], int(np.count_nonzero(finite))
     if not np.any(w):  # without noise, the errors are set to 0
         return 0.0, 1.0
     allowed = s2 + max(float(np.sum((slope @ theta_covariance) * slope)), 0.0) / max(N, 1)
@@ -366,13 +366,13 @@ def _larger(
     return float(np.sqrt(ratio)), float(fdtrc(N / c, degrees / c, ratio))
 
 
-def _lagged_both_ways(u: Array, known: Array, L: int) -> Array:
+def _lags_both_ways(u: Array, measured: Array, L: int) -> Array:
     """Return u_j(t - k), k = -L … L, for pairs i, j, (N, ny, K), 0 without a residual of i."""
-    (N, ny), nu, width = known.shape, u.shape[1], 2 * L + 1
+    (N, ny), nu, width = measured.shape, u.shape[1], 2 * L + 1
     # In Fortran order the columns are contiguous.
     Z = np.zeros((N, ny, ny * nu * width), order="F")
     for i in range(ny):
-        unknown = np.flatnonzero(~known[:, i])
+        unknown = np.flatnonzero(~measured[:, i])
         for k in range(-L, L + 1):
             late, early, n = max(k, 0), max(-k, 0), max(N - abs(k), 0)
             columns = slice(i * nu * width + L + k, (i + 1) * nu * width, width)
@@ -397,7 +397,7 @@ def _noise_parameters(fit: Fit) -> list[int]:
     """Return the number of parameters of the noise model of each output, without integrators."""
     form = fit.form
     if not isinstance(form, Polynomials):
-        K = form.realised().K
+        K = form.innovations_form().K
         return [K.shape[0] * bool(K.any())] * fit.ny
     rows = zip(form.A, form.C, form.D, form.F, form.integrators, strict=True)
     return [

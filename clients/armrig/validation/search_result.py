@@ -171,7 +171,7 @@ class SearchResult:
           OE[2 2 1]                 4     0.0338...               0.0011... ± 9.4e-05
           ARX[3 3 1]                6    0.075...
         """
-        what = f"predicted {plural(n, 'sample')} ahead" if (n := self.horizon) else "simulated"
+        method = f"predicted {plural(n, 'sample')} ahead" if (n := self.horizon) else "simulated"
         count = len(self.ranked) + len(self.failed)
         where = "part of the data that did not estimate them" if self.halved else "validation data"
         width = max(len(j.candidate.name) for j in self.ranked)
@@ -179,11 +179,11 @@ class SearchResult:
         square = f" [{f'({self.unit})' if '/' in self.unit else self.unit}²]" if self.unit else ""
         over = f"excess mean square ± se{square}"
         lines = [
-            f"{plural(count, 'model')}, {what}, ranked by their error on the {where}",
+            f"{plural(count, 'model')}, {method}, ranked by their error on the {where}",
             f"  {'model':{width}} {'parameters':>10} {f'rms{unit}':>11}  {over:>24}",
         ]
-        shown = sorted({*range(min(most, len(self.ranked))), self.chosen_index})
-        for i in shown:
+        indices = sorted({*range(min(most, len(self.ranked))), self.chosen_index})
+        for i in indices:
             j = self.ranked[i]
             of_best = (
                 "" if i == 0 else f"{digits(self.excess[i], 3)} ± {digits(self.excess_std[i], 2)}"
@@ -191,8 +191,8 @@ class SearchResult:
             mark = "  <- chosen" if i == self.chosen_index else ""
             row = f"  {j.candidate.name:{width}} {j.parameters:10} {self.rms[i]:11.5g}  "
             lines.append(f"{row}{of_best:>{max(24, len(over))}}{mark}")
-        if len(self.ranked) > len(shown):
-            lines.append(f"  … and {len(self.ranked) - len(shown)} more")
+        if len(self.ranked) > len(indices):
+            lines.append(f"  … and {len(self.ranked) - len(indices)} more")
         return "\n".join(lines)
 
     def __repr__(self) -> str:
@@ -200,20 +200,20 @@ class SearchResult:
         return f"{self.table()}\n{self.explain()}"
 
 
-def _reasons(found: SearchResult) -> Iterator[str]:
-    best, chosen, i = found.ranked[0], found.chosen, found.chosen_index
-    what = f"prediction {plural(n, 'sample')} ahead" if (n := found.horizon) else "simulation"
-    of_best = f"rms error {found.rms[0]:.4g} {found.unit}".rstrip()
-    yield f"best {what} of the validation data: {best.candidate.name}, {of_best}"
-    fewer = [k for k, j in enumerate(found.ranked) if j.parameters < chosen.parameters]
-    as_good = bool(found.as_good[fewer].any())
+def _reasons(result: SearchResult) -> Iterator[str]:
+    best, chosen, i = result.ranked[0], result.chosen, result.chosen_index
+    method = f"prediction {plural(n, 'sample')} ahead" if (n := result.horizon) else "simulation"
+    of_best = f"rms error {result.rms[0]:.4g} {result.unit}".rstrip()
+    yield f"best {method} of the validation data: {best.candidate.name}, {of_best}"
+    fewer = [k for k, j in enumerate(result.ranked) if j.parameters < chosen.parameters]
+    as_good = bool(result.as_good[fewer].any())
     if i:
         why = "which predicts better one step ahead"
         if chosen.parameters < best.parameters:
             why = f"{plural(chosen.parameters, 'parameter')} instead of {best.parameters}"
         text = f"chosen: {chosen.candidate.name}, {why}; its mean squared error is higher by "
         yield (
-            f"{text}{digits(found.excess[i], 2)} ± {digits(found.excess_std[i], 2)}, within "
+            f"{text}{digits(result.excess[i], 2)} ± {digits(result.excess_std[i], 2)}, within "
             "its standard error"
         )
     else:
@@ -222,28 +222,28 @@ def _reasons(found: SearchResult) -> Iterator[str]:
     if as_good:
         yield "simpler models are as good, but predict worse one step ahead"
     elif fewer:
-        k, simpler = fewer[0], found.ranked[fewer[0]]
-        sigmas = found.excess[k] / max(found.excess_std[k], 1e-300)
+        k, simpler = fewer[0], result.ranked[fewer[0]]
+        sigmas = result.excess[k] / max(result.excess_std[k], 1e-300)
         text = f"fewer parameters are not enough: {simpler.candidate.name} has {simpler.parameters}"
-        text += f", rms error {found.rms[k]:.4g}, and "
+        text += f", rms error {result.rms[k]:.4g}, and "
         square = f"a mean squared error {sigmas:.1f} standard errors above the least"
-        ratio = found.rms[k] / found.rms[0]
+        ratio = result.rms[k] / result.rms[0]
         larger = "a fit more than 2 points lower"
         if ratio > MAX_ERROR_RATIO:
             larger = f"an rms error of {digits(ratio, 3)} times the least"
         yield text + (square if sigmas > 1 else larger)
     order = chosen.candidate.order
-    if order == max(c.order for c in (*(j.candidate for j in found.ranked), *found.failed)):
+    if order == max(c.order for c in (*(j.candidate for j in result.ranked), *result.failed)):
         text = f"order {order} is the highest that was tried, so a higher order may be better: "
         text += f"search with --max-order {2 * order} "
         yield f"{text}(in Python, orders=range(1, {2 * order + 1}))"
-    yield from found.notes
-    if found.tests.powerless:
-        yield f"the tests of its residuals have no power: {found.tests.powerless}"
-    rejected = (f for f in results(found.tests) if f.level == "unusable")
+    yield from result.notes
+    if result.tests.powerless:
+        yield f"the tests of its residuals have no power: {result.tests.powerless}"
+    rejected = (f for f in results(result.tests) if f.level == "unusable")
     yield from (f"tests of its residuals: {f.text}" for f in rejected)
-    if found.failed:
-        first, reason = next(iter(found.failed.items()))
-        yield f"without a usable model: {len(found.failed)}, such as {first.name}: {reason}"
-    if found.halved:
+    if result.failed:
+        first, reason = next(iter(result.failed.items()))
+        yield f"without a usable model: {len(result.failed)}, such as {first.name}: {reason}"
+    if result.halved:
         yield "the chosen model was then estimated from all the data"

@@ -15,7 +15,7 @@ from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import Finding, good, warning
 from armrig.estimation.data_faults import require_moving_output, require_no_copies
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
-from armrig.estimation.nonparametric.spectra import explained
+from armrig.estimation.nonparametric.spectra import coherent_range
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.estimation.request import Request
 from armrig.excitation.input_description import excitation_order
@@ -26,21 +26,21 @@ from armrig.models.spectral_estimate import (
     log_slope,
     low_slope,
 )
-from armrig.numerics.quantities import digits, listed, minus, plural
-from armrig.plots.layout import drawn_by
-from armrig.validation.advice import about_feedback, poor_input, tested, without_others
+from armrig.numerics.quantities import digits, join_names, minus, plural
+from armrig.plots.layout import plot_method
+from armrig.validation.advice import about_feedback, poor_input, preliminary_tests, without_others
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
 from armrig.validation.feedback_and_delay.delay_result import Delay, first_lag
 from armrig.validation.feedback_and_delay.open_loop import EXACT
-from armrig.validation.model_search import held_out_errors
+from armrig.validation.model_search import cross_validation_errors
 from armrig.validation.recommended_structures import (
     BARE,
     RECOMMENDED,
-    Fitted,
+    OutputErrorFit,
     Recommended,
     busiest,
     process_forms,
-    recommended,
+    recommend,
 )
 
 MAX_RATIO = 1.05  # of the rms error of the first structure on data held out to the least
@@ -125,7 +125,7 @@ class StructureHints:
         """Number of samples before u affects y in the first structure."""
         return self.structures[0].nk
 
-    plot = drawn_by("plot_structure", "|G| with slopes and extremes")
+    plot = plot_method("plot_structure", "|G| with slopes and extremes")
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -135,7 +135,7 @@ class StructureHints:
     @property
     def reasons(self) -> tuple[str, ...]:
         """Texts of the findings, and the further structures."""
-        others = ", ".join(_named(self.family, s) for s in self.structures[1:])
+        others = ", ".join(_call_text(self.family, s) for s in self.structures[1:])
         more = [f"try also: {others}"] if others else []
         if self.process:
             more.append(f"in s: {_process_told(self.process)}")
@@ -148,7 +148,7 @@ class StructureHints:
     def __repr__(self) -> str:
         """Return the first structure and the reasons."""
         lines = [
-            f"structure hints: begin with {_named(self.family, self.structures[0])}",
+            f"structure hints: begin with {_call_text(self.family, self.structures[0])}",
             *self.reasons,
         ]
         return "\n  ".join(lines)
@@ -165,7 +165,7 @@ def structure_hints(
     """Recommend at most three structures, with the reasons for them.
 
     The structures are the output-error structures with the shortest description lengths, after a
-    filter has whitened the noise (`recommended`). The first has the fewest poles with which the
+    filter has whitened the noise (`recommend`). The first has the fewest poles with which the
     error of a simulation of data held out is at most 1.05 times the least of those tried. With
     feedback, Box-Jenkins structures with the same orders take their place. If the data show whether
     y integrates, one of the structures has nb = nf, like a plant under a zero-order hold. The
@@ -216,34 +216,34 @@ def structure_hints(
     """
     require_moving_output(data)
     require_no_copies(data)
-    known = tested(data, integrator, whole)
-    if known.loop is not None and known.loop.exact:
+    tests = preliminary_tests(data, integrator, whole)
+    if tests.loop is not None and tests.loop.exact:
         raise InputError(EXACT)
-    decided, late = known.integration, known.late if isinstance(known.late, Delay) else None
+    decided, late = tests.integration, tests.late if isinstance(tests.late, Delay) else None
     integrates = decided.integrates and not decided.rejected
     rate = spa(data, "log", integrator=True).rate()
-    slope, low = low_slope(rate, _believed(rate, needed=late is None))
+    slope, low = low_slope(rate, _usable_frequencies(rate, needed=late is None))
     lags = [1] if late is None else [late.nk, late.interval[1], 1]
-    models, shown, tried = recommended(data, lags, integrates=integrates, decide=decided.undecided)
-    if not known.together:  # feedback biases a simulation
+    models, is_clear, tried = recommend(data, lags, integrates=integrates, decide=decided.undecided)
+    if not tests.together:  # feedback biases a simulation
         models = _smallest_first(data, models, tried)
     best, first = models[0], models[0].structure
     integrates, nk = first.integrator, first.nk
     spectrum = spa(data, "log", delay=max(nk - 1, 0), integrator=integrates)
-    believed = _believed(spectrum, needed=late is None)
+    believed = _usable_frequencies(spectrum, needed=late is None)
     response = long_enough(data, LAGS, integrator=integrates)
     peaks, dips = _extremes(best, spectrum.omega[believed], data.Ts)
     high = spectrum.omega[high_band(spectrum, believed)]
     fall = high_slope(spectrum, believed)
     seen = late is not None and late.interval[0] <= nk <= late.interval[1]
     return StructureHints(
-        doubts=tuple(about_feedback(known)) if known.together else (),
+        doubts=tuple(about_feedback(tests)) if tests.together else (),
         structures=tuple(model.structure for model in models),
         integrator=integrates,
-        integrator_shown=shown,
-        low_slope=_agreed(slope - 20, best, low, data.Ts),
+        integrator_shown=is_clear,
+        low_slope=_confirm_slope(slope - 20, best, low, data.Ts),
         process="" if dips else _process(best, data.Ts),
-        high_slope=_agreed(fall, best, high, data.Ts),
+        high_slope=_confirm_slope(fall, best, high, data.Ts),
         high_band=high,
         relative_degree=max(0, round(-fall / 20)) if high.size else 0,
         resonances=peaks,
@@ -260,11 +260,11 @@ def structure_hints(
 
 
 def _smallest_first(
-    data: Dataset, models: Sequence[Fitted], tried: Sequence[Fitted]
-) -> list[Fitted]:
+    data: Dataset, models: Sequence[OutputErrorFit], tried: Sequence[OutputErrorFit]
+) -> list[OutputErrorFit]:
     """Return the models, with the smallest first that is nearly the best on data held out."""
     first = models[0].structure
-    known = {
+    models_by_structure = {
         m.structure: m for m in (*tried, *models) if m.structure.integrator == first.integrator
     }
     requests = [
@@ -277,15 +277,15 @@ def _smallest_first(
             stable=True,
             starts="few",
         )
-        for s in known
+        for s in models_by_structure
     ]
-    rms = held_out_errors(busiest(data), requests)
+    rms = cross_validation_errors(busiest(data), requests)
     if np.isnan(rms).all():
         return [*models]
     most, parameters = MAX_RATIO * np.nanmin(rms), first.nb + first.nf
     near = [
         m
-        for (s, m), e in zip(known.items(), rms, strict=True)
+        for (s, m), e in zip(models_by_structure.items(), rms, strict=True)
         if e <= most and s.nf < first.nf and s.nb + s.nf <= parameters
     ]
     if not near:  # the description length decides on structures with as many poles
@@ -294,27 +294,27 @@ def _smallest_first(
     return [*dict.fromkeys([smallest, *models])][:RECOMMENDED]
 
 
-def _excess(tried: Sequence[Fitted]) -> dict[int, float]:
+def _excess(tried: Sequence[OutputErrorFit]) -> dict[int, float]:
     """Return the description length of each number of poles above the shortest."""
     least = min(m.bits for m in tried)
     return {m.structure.nf: m.bits - least for m in tried}
 
 
-def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
+def _usable_frequencies(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
     """Return the indices of the frequencies at which u explains y; if too few, none or an error."""
     errors = () if needed else (ValueError,)
     with suppress(*errors):
-        return explained(estimate)
+        return coherent_range(estimate)
     return np.zeros(0, dtype=np.int_)
 
 
-def _agreed(slope: float, best: Fitted, omega: Vector, Ts: float) -> float | None:
+def _confirm_slope(slope: float, best: OutputErrorFit, omega: Vector, Ts: float) -> float | None:
     """Return `slope` if the slope of the first structure at `omega` is nearly equal, else None."""
     other = log_slope(omega, np.abs(best.G(omega, Ts)))
     return slope if abs(slope - other) <= AGREED_SLOPE else None
 
 
-def _process(best: Fitted, Ts: float) -> str:
+def _process(best: OutputErrorFit, Ts: float) -> str:
     """Return the form of `process` with the poles of a model; "" if its gain needs a zero."""
     s, poles = best.structure, np.roots(np.append(1.0, best.f)).astype(np.complex128)
     with np.errstate(divide="ignore"):
@@ -327,7 +327,7 @@ def _process(best: Fitted, Ts: float) -> str:
     return process_forms(poles, nk=s.nk, integrator=s.integrator).get(poles.size, "")
 
 
-def _extremes(best: Fitted, omega: Vector, Ts: float) -> list[tuple[float, ...]]:
+def _extremes(best: OutputErrorFit, omega: Vector, Ts: float) -> list[tuple[float, ...]]:
     """Return the frequencies of peaks and of dips of |G|, of the rate if y integrates."""
     from scipy.signal import find_peaks
 
@@ -336,8 +336,8 @@ def _extremes(best: Fitted, omega: Vector, Ts: float) -> list[tuple[float, ...]]
     w = np.geomspace(omega[0], omega[-1], 300)
     G = best.G(w, Ts) * (1 - np.exp(-1j * w * Ts)) ** best.structure.integrator
     level = 20 * np.log10(np.abs(G))
-    found = (find_peaks(x, prominence=PROMINENT_DB)[0] for x in (level, -level))
-    return [tuple(map(float, w[at])) for at in found]
+    indices = (find_peaks(x, prominence=PROMINENT_DB)[0] for x in (level, -level))
+    return [tuple(map(float, w[at])) for at in indices]
 
 
 def _extremes_told(omega: tuple[float, ...], name: str, wants: str) -> str:
@@ -351,33 +351,33 @@ def _process_told(form: str) -> str:
     """Return the name of a process model and the call that estimates it."""
     parts = {"D": "dead time", "I": "an integrator", "U": "a resonance"}
     has = [name for letter, name in parts.items() if letter in form]
-    more = f" with {listed(has)}" if has else ""
+    more = f" with {join_names(has)}" if has else ""
     ordinal = ("first", "second", "third")[int(form[1]) - 1]
     return f'a {ordinal}-order process{more}: process(data, "{form}")'
 
 
-def _named(family: str, s: Recommended) -> str:
+def _call_text(family: str, s: Recommended) -> str:
     if family == "armax":
         return f"armax(data, na={s.nf}, nb={s.nb}, nc={s.nf}, nk={s.nk})"
     noise = "nc=1, nd=1, " * (family == "bj")
     return f"{family}(data, nb={s.nb}, {noise}nf={s.nf}, nk={s.nk}, integrator={s.integrator})"
 
 
-def call_of_all(found: Mapping[Name, StructureHints]) -> str:
+def call_of_all(hints: Mapping[Name, StructureHints]) -> str:
     """Return one call of `oe` for all channels, with the orders of each output and input.
 
     An output integrates if one of its channels integrates. The other channels of this output then
     have a root at 1 in B, too.
     """
-    integrating = tuple(dict.fromkeys(output for (output, _), h in found.items() if h.integrator))
-    nu = len({input for _, input in found})
-    more = [name[0] in integrating and not h.integrator for name, h in found.items()]
-    given = ""
+    integrating = tuple(dict.fromkeys(output for (output, _), h in hints.items() if h.integrator))
+    nu = len({input for _, input in hints})
+    more = [name[0] in integrating and not h.integrator for name, h in hints.items()]
+    arguments = ""
     for order, root in (("nb", more), ("nf", more), ("nk", [False] * len(more))):
-        n = [getattr(h, order) + extra for h, extra in zip(found.values(), root, strict=True)]
+        n = [getattr(h, order) + extra for h, extra in zip(hints.values(), root, strict=True)]
         rows = [n[i : i + nu] for i in range(0, len(n), nu)]
-        given += f"{order}={n[0] if len(set(n)) == 1 else rows}, "
-    return f"oe(data, {given}integrator={integrating or False})"
+        arguments += f"{order}={n[0] if len(set(n)) == 1 else rows}, "
+    return f"oe(data, {arguments}integrator={integrating or False})"
 
 
 def _findings(h: StructureHints) -> Iterator[Finding]:
@@ -392,7 +392,7 @@ def _findings(h: StructureHints) -> Iterator[Finding]:
         yield good(f"shape of {'the rate' if h.integrator else 'y'}", f"{peaks}, {dips}")
     least = min(h.excess, key=h.excess.__getitem__)
     near = [f"nf = {n} by {d:.1f}" for n, d in h.excess.items() if abs(n - least) == 1]
-    more = f"; it is longer with {listed(near)} (below {BARE:g} hardly counts)" if near else ""
+    more = f"; it is longer with {join_names(near)} (below {BARE:g} hardly counts)" if near else ""
     text = f"nf = {least} has the shortest description (MDL){more}"
     if h.nf != least:
         text += f"; nf = {h.nf} is the smallest whose error on data held out is within "

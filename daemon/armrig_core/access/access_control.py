@@ -11,7 +11,13 @@ from typing import Any
 
 from armrig_core.access.access_list import AccessList
 from armrig_core.access.credential import RIG_PREFIX, ROUTER
-from armrig_core.commands.commands import MOST_REMOTE_BYTES, REQUESTS, Calibrate, RunOptions, Status
+from armrig_core.commands.commands import (
+    MOST_REMOTE_BYTES,
+    REQUESTS,
+    CalibrateRequest,
+    RunOptions,
+    Status,
+)
 from armrig_core.rig.calibration_file import RAW_LIMIT
 from armrig_core.telemetry.topics import (
     EVERY_RIG,
@@ -41,17 +47,17 @@ def remote(rig: str, people: AccessList) -> dict[str, Any]:
     shared = [rule["id"] for rule in rules]
     for role, commands in (("operators", "*"), ("observers", Status.name)):
         for name in getattr(people, role):
-            own = command_key(rig, commands, name)
+            key = command_key(rig, commands, name)
             rules += [
-                _allowed(f"{name} asks", "ingress", ["query"], [own]),
-                _allowed(f"{name} is answered", "egress", ["reply"], [own]),
+                _allow(f"{name} asks", "ingress", ["query"], [key]),
+                _allow(f"{name} is answered", "egress", ["reply"], [key]),
             ]
             policies.append(
                 {"rules": [*shared, f"{name} asks", f"{name} is answered"], "subjects": [name]}
             )
     names = (*people.operators, *people.observers)
     subjects = [{"id": name, "cert_common_names": [name]} for name in names]
-    return _denied_but(rules, policies, subjects)
+    return _deny_by_default(rules, policies, subjects)
 
 
 def of_router(people: AccessList) -> dict[str, Any]:
@@ -61,17 +67,17 @@ def of_router(people: AccessList) -> dict[str, Any]:
     rig may publish, answer and hold a liveliness token under its own id, and receives the requests
     to this id.
     """
-    found = remote(EVERY_RIG, people)
+    control = remote(EVERY_RIG, people)
     for name in people.rigs:
         its = _own(name.removeprefix(RIG_PREFIX))
-        found["rules"] += [
-            _allowed(f"{name} {what}", flow, messages, keys) for what, flow, messages, keys in its
+        control["rules"] += [
+            _allow(f"{name} {action}", flow, messages, keys) for action, flow, messages, keys in its
         ]
-        found["policies"].append(
-            {"rules": [f"{name} {what}" for what, *_ in its], "subjects": [name]}
+        control["policies"].append(
+            {"rules": [f"{name} {action}" for action, *_ in its], "subjects": [name]}
         )
-        found["subjects"].append({"id": name, "cert_common_names": [name]})
-    return found
+        control["subjects"].append({"id": name, "cert_common_names": [name]})
+    return control
 
 
 def at_router(rig: str) -> dict[str, Any]:
@@ -84,10 +90,10 @@ def at_router(rig: str) -> dict[str, Any]:
     """
     mirrored = {"ingress": "egress", "egress": "ingress"}
     rules = [
-        _allowed(what, mirrored[flow], messages, keys) for what, flow, messages, keys in _own(rig)
+        _allow(action, mirrored[flow], messages, keys) for action, flow, messages, keys in _own(rig)
     ]
     policies = [{"rules": [rule["id"] for rule in rules], "subjects": [ROUTER]}]
-    return _denied_but(rules, policies, [{"id": ROUTER, "cert_common_names": [ROUTER]}])
+    return _deny_by_default(rules, policies, [{"id": ROUTER, "cert_common_names": [ROUTER]}])
 
 
 def size_limits(rig: str) -> list[dict[str, Any]]:
@@ -95,7 +101,7 @@ def size_limits(rig: str) -> list[dict[str, Any]]:
     longest = {
         name: MOST_REMOTE_BYTES for name, kind in REQUESTS.items() if issubclass(kind, RunOptions)
     }
-    longest[Calibrate.name] = MOST_CALIBRATION_BYTES
+    longest[CalibrateRequest.name] = MOST_CALIBRATION_BYTES
     return [
         {
             "id": f"size of {name}",
@@ -120,7 +126,7 @@ def _own(rig: str) -> list[tuple[str, str, list[str], list[str]]]:
     ]
 
 
-def _denied_but(rules: list[Any], policies: list[Any], subjects: list[Any]) -> dict[str, Any]:
+def _deny_by_default(rules: list[Any], policies: list[Any], subjects: list[Any]) -> dict[str, Any]:
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -136,19 +142,19 @@ def _watching(rig: str) -> list[dict[str, Any]]:
     any_stream, public = stream_key(rig, "*"), [schema_key(rig, "**"), history_key(rig)]
     sees = ["liveliness_query", "declare_liveliness_subscriber"]
     return [
-        _allowed("listen", "ingress", ["declare_subscriber"], [any_stream]),
-        _allowed("look for rigs", "ingress", sees, [any_stream, alive_key(EVERY_RIG)]),
-        _allowed("hear", "egress", ["put"], streams),
-        _allowed("see alive", "egress", ["liveliness_token"], [alive_key(rig)]),
-        _allowed("ask for schema and history", "ingress", ["query"], public),
-        _allowed("get schema and history", "egress", ["reply"], public),
-        _allowed("find", "egress", ["declare_queryable"], [*public, command_key(rig, "*", "*")]),
+        _allow("listen", "ingress", ["declare_subscriber"], [any_stream]),
+        _allow("look for rigs", "ingress", sees, [any_stream, alive_key(EVERY_RIG)]),
+        _allow("hear", "egress", ["put"], streams),
+        _allow("see alive", "egress", ["liveliness_token"], [alive_key(rig)]),
+        _allow("ask for schema and history", "ingress", ["query"], public),
+        _allow("get schema and history", "egress", ["reply"], public),
+        _allow("find", "egress", ["declare_queryable"], [*public, command_key(rig, "*", "*")]),
     ]
 
 
-def _allowed(what: str, flow: str, messages: list[str], keys: list[str]) -> dict[str, Any]:
+def _allow(rule_id: str, flow: str, messages: list[str], keys: list[str]) -> dict[str, Any]:
     return {
-        "id": what,
+        "id": rule_id,
         "permission": "allow",
         "flows": [flow],
         "messages": messages,

@@ -8,15 +8,15 @@ from typing import Any
 
 import msgspec
 
-from armrig_core.access.endpoint import anchored
+from armrig_core.access.endpoint import resolve_paths
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import CONFIGURATION_LIMIT
-from armrig_core.process.toml_file import Table, convert, read_toml
+from armrig_core.process.toml_file import TomlTable, convert, read_toml
 
 _PREFIX = "ARMRIG_CLIENT_"
 
 
-class ClientSettings(Table, frozen=True, kw_only=True):
+class ClientSettings(TomlTable, frozen=True, kw_only=True):
     """`[client]`: the daemon to which `armrig` connects; the daemon itself ignores this table."""
 
     connect: str = ""
@@ -37,13 +37,13 @@ def client_settings(paths: Sequence[Path], environ: Mapping[str, str]) -> Client
     """
     settings: dict[str, str] = {}
     for path in paths:
-        settings |= _checked(_table(path), path.absolute().parent, str(path))
-    given = {
+        settings |= _client_table(_table(path), path.absolute().parent, str(path))
+    variables = {
         key.removeprefix(_PREFIX).lower(): value
         for key, value in environ.items()
         if key.startswith(_PREFIX)
     }
-    settings |= _checked(given, Path.cwd(), "environment")
+    settings |= _client_table(variables, Path.cwd(), "environment")
     return ClientSettings(**settings)
 
 
@@ -57,14 +57,14 @@ def _table(path: Path) -> Any:
     return tables.get("client", {})
 
 
-class _File(msgspec.Struct, frozen=True, kw_only=True):
+class _ClientFile(msgspec.Struct, frozen=True, kw_only=True):
     client: ClientSettings
 
 
-def _checked(table: Any, directory: Path, where: str) -> dict[str, str]:
-    tables = anchored({"client": table}, directory)
+def _client_table(table: Any, directory: Path, where: str) -> dict[str, str]:
+    tables = resolve_paths({"client": table}, directory)
     try:
-        convert(tables, _File)
+        convert(tables, _ClientFile)
     except InputError as err:
         raise InputError(f"{where}: {err}") from err
     return dict(tables["client"])

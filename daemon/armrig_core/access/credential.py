@@ -91,19 +91,19 @@ def rig_name(rig: str) -> str:
     return f"{RIG_PREFIX}{rig}"
 
 
-def require_private(path: Path, found: os.stat_result) -> None:
+def require_private(path: Path, inode: os.stat_result) -> None:
     """Refuse a key's file that users other than its owner may read or change.
 
     The file's group may not read the file either: for a service, this group contains all people who
     may operate the service.
     """
-    if os.name != "posix" or not found.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+    if os.name != "posix" or not inode.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         return
     remedy = f"chmod 400 {quote(str(path))}"
-    if found.st_uid != os.geteuid():
+    if inode.st_uid != os.geteuid():
         remedy = f"chown {_this_user()} {quote(str(path))} && {remedy}"
     raise FileError(
-        f"{path}: with mode {stat.S_IMODE(found.st_mode):04o} other users can read or change the "
+        f"{path}: with mode {stat.S_IMODE(inode.st_mode):04o} other users can read or change the "
         f"key; allowed is 0400 or 0600: `{remedy}`"
     )
 
@@ -138,22 +138,22 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
         raise FileError(f"{path}: the key is encrypted; a key without a passphrase is needed")
     authority = certificates[-1]
     try:
-        shown = _shown(path, authority, purpose)
+        contents = _certificate(path, authority, purpose)
         authorities = _contents(authority)
     except (ssl.SSLError, ValueError) as err:
         wrong = _what_is_wrong(err, purpose)
         if getattr(err, "verify_code", 0) == _NOT_YET:
             with suppress(ssl.SSLError):  # another part of the certificate is wrong, too
-                begins = _time(_shown(path, authority, purpose, _NO_CHECK_TIME), "notBefore")
+                begins = _time(_certificate(path, authority, purpose, _NO_CHECK_TIME), "notBefore")
                 wrong = f"the certificate is not valid before {utc(begins)}: check the clock"
         raise FileError(f"{path}: {wrong}") from err
-    ends = (_time(certificate, "notAfter") for certificate in (shown, *authorities))
-    name = _common_name(path, shown)
+    ends = (_time(certificate, "notAfter") for certificate in (contents, *authorities))
+    name = _common_name(path, contents)
     if purpose == "client" and name.startswith(RIG_PREFIX):  # a rig's certificate, for a router
         raise FileError(f"{path}: {_other_purpose(purpose)}")
     return Credential(
         name=name,
-        begins=_time(shown, "notBefore"),
+        begins=_time(contents, "notBefore"),
         expires=min(ends),
         key=keys[0],
         certificate=b"".join(certificates[:-1]),
@@ -170,7 +170,7 @@ def _read(path: Path, purpose: Purpose) -> bytes:
         raise FileError(f"{path}: {err.strerror}; choose a file that this user may read") from err
 
 
-def _shown(path: Path, authority: bytes, purpose: Purpose, flags: int = 0) -> dict[str, Any]:
+def _certificate(path: Path, authority: bytes, purpose: Purpose, flags: int = 0) -> dict[str, Any]:
     """Return the contents of the certificate; only a handshake, here in memory, verifies it."""
     server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     client = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)

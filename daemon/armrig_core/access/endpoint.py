@@ -47,25 +47,25 @@ def socket_directory(
     return PurePosixPath(temporary) / f"armrig-{uid}"
 
 
-def require_trusted(found: os.stat_result, *, owners: Collection[int]) -> None:
+def require_trusted(inode: os.stat_result, *, owners: Collection[int]) -> None:
     """Refuse a directory that another user owns or may write to.
 
     Such a user could replace the socket and answer instead of the daemon.
 
-    `found` is the state of the directory itself, from `lstat`. The users with the ids `owners` may
+    `inode` is the state of the directory itself, from `lstat`. The users with the ids `owners` may
     own the directory.
 
     Raises InputError if another user owns the directory or may write to it, or the path is a link
     or not a directory. The message names only this defect, not the directory.
     """
-    if stat.S_ISLNK(found.st_mode):
+    if stat.S_ISLNK(inode.st_mode):
         raise InputError("is a symbolic link, which may lead to another user's directory")
-    if not stat.S_ISDIR(found.st_mode):
+    if not stat.S_ISDIR(inode.st_mode):
         raise InputError("is not a directory")
-    if found.st_uid not in owners:
-        raise InputError(f"belongs to another user (uid {found.st_uid})")
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        mode = stat.S_IMODE(found.st_mode)
+    if inode.st_uid not in owners:
+        raise InputError(f"belongs to another user (uid {inode.st_uid})")
+    if inode.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        mode = stat.S_IMODE(inode.st_mode)
         raise InputError(f"can be written by other users (mode {mode:o}, not 700)")
 
 
@@ -92,20 +92,20 @@ def check_listen(where: str) -> None:
 
 def network_address(where: str) -> tuple[str, int] | None:
     """Return host and port of a tls or tcp endpoint; None for any other endpoint."""
-    found = _NETWORK.fullmatch(where)
-    if found is None or not 0 < int(found[4]) < 1 << 16:
+    match = _NETWORK.fullmatch(where)
+    if match is None or not 0 < int(match[4]) < 1 << 16:
         return None
-    return found[2] or found[3], int(found[4])
+    return match[2] or match[3], int(match[4])
 
 
-def anchored(tables: Mapping[str, Any], directory: Path) -> dict[str, Any]:
+def resolve_paths(tables: Mapping[str, Any], directory: Path) -> dict[str, Any]:
     """Return `tables` with absolute paths of files; relative paths begin at `directory`."""
     result = dict(tables)
     for table, keys in _FILES.items():
-        given = result.get(table)
-        if isinstance(given, Mapping):
-            paths = {k: given[k] for k in keys if isinstance(given.get(k), str) and given[k]}
-            result[table] = {**given, **{k: _absolute(p, directory) for k, p in paths.items()}}
+        values = result.get(table)
+        if isinstance(values, Mapping):
+            paths = {k: values[k] for k in keys if isinstance(values.get(k), str) and values[k]}
+            result[table] = {**values, **{k: _absolute(p, directory) for k, p in paths.items()}}
     return result
 
 

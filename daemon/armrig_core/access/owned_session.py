@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from threading import Lock
 from typing import Any, Final
 
-from armrig_core.commands.commands import Stop
+from armrig_core.commands.commands import StopRequest
 from armrig_core.telemetry.topics import EVERY_RIG, command_key, history_key, schema_key
 
 _MASK: Final = 0o007  # to connect, a client needs permission to write
@@ -17,9 +17,9 @@ _LOCK: Final = Lock()
 _OS_ERROR = re.compile(r"os error (\d+)")
 
 
-def _denied(what: str, flow: str, messages: list[str]) -> dict[str, Any]:
+def _deny(rule_id: str, flow: str, messages: list[str]) -> dict[str, Any]:
     return {
-        "id": what,
+        "id": rule_id,
         "permission": "deny",
         "flows": [flow],
         "messages": messages,
@@ -28,13 +28,13 @@ def _denied(what: str, flow: str, messages: list[str]) -> dict[str, Any]:
 
 
 _OWNER_RULES = (
-    _denied(
+    _deny(
         "what only the owner does",
         "ingress",
         ["put", "delete", "declare_queryable", "reply", "liveliness_token"],
     ),
     # zenoh sends all queries to a peer that claims to be a router, even without a queryable.
-    _denied("what only the owner hears", "egress", ["query"]),
+    _deny("what only the owner hears", "egress", ["query"]),
 )
 _ACCESS_CONTROL = {
     "enabled": True,  # without this key zenoh silently ignores the others
@@ -95,10 +95,10 @@ ends of forbidden queries, and the answers to keys with an @, which no rule of z
 """
 
 
-def lane(what: str, keys: list[str], priority: str, control: str = "drop") -> dict[str, Any]:
+def lane(rule_id: str, keys: list[str], priority: str, control: str = "drop") -> dict[str, Any]:
     """Return a rule of zenoh's `qos/network`: the queue of these queries and of their answers."""
     return {
-        "id": what,
+        "id": rule_id,
         "flows": ["ingress"],
         "messages": ["query"],
         "key_exprs": keys,
@@ -106,7 +106,7 @@ def lane(what: str, keys: list[str], priority: str, control: str = "drop") -> di
     }
 
 
-_STOPS = [command_key(EVERY_RIG, Stop.name), command_key(EVERY_RIG, Stop.name, "*")]
+_STOPS = [command_key(EVERY_RIG, StopRequest.name), command_key(EVERY_RIG, StopRequest.name, "*")]
 LANES = {
     "network": [
         lane("queries", ["**"], "interactive_low"),
@@ -140,7 +140,7 @@ def transport(most_received: int, held_us: int = HELD_US) -> dict[str, Any]:
     }
 
 
-def owned_session(endpoint: str, *, most_received: int) -> dict[str, Any]:
+def session_configuration(endpoint: str, *, most_received: int) -> dict[str, Any]:
     """Return the configuration of a session that listens only at `endpoint` and is not discovered.
 
     `most_received` is the longest received message, in B.
@@ -157,8 +157,8 @@ def owned_session(endpoint: str, *, most_received: int) -> dict[str, Any]:
 
 def os_error_number(err: Exception) -> int | None:
     """Return the errno in the text of an error of zenoh; None if the text contains no errno."""
-    found = _OS_ERROR.search(str(err))
-    return int(found[1]) if found else None
+    match = _OS_ERROR.search(str(err))
+    return int(match[1]) if match else None
 
 
 @contextmanager

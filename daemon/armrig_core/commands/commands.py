@@ -13,7 +13,7 @@ from armrig_core.control.control_law import ControlLaw
 from armrig_core.errors import InputError, ParameterError
 from armrig_core.process.printable import printable
 from armrig_core.rig.calibration import Calibration
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from armrig_core.rig.volts import U_MAX_V
 
 Volts = Annotated[float, Meta(ge=0, le=U_MAX_V, description="V")]
@@ -80,13 +80,13 @@ def rehearsal_sentence(rehearsal: Rehearsal) -> str:
     )
 
 
-class Request(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class DaemonRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A command without fields."""
 
     name: ClassVar[str]
 
 
-class Arm(Request, frozen=True, kw_only=True):
+class ArmRequest(DaemonRequest, frozen=True, kw_only=True):
     """Reserve the rig, at 0 V, for one owner; the reply is a `LeaseGranted`."""
 
     name: ClassVar[str] = "arm"
@@ -96,7 +96,7 @@ class Arm(Request, frozen=True, kw_only=True):
     """Sampling time, in s; default: the configured sampling time."""
 
 
-class Leased(Request, frozen=True, kw_only=True, omit_defaults=True):
+class LeasedRequest(DaemonRequest, frozen=True, kw_only=True, omit_defaults=True):
     """A command of the owner; only a valid command renews the lease."""
 
     lease: Lease
@@ -111,13 +111,13 @@ class Leased(Request, frozen=True, kw_only=True, omit_defaults=True):
     """
 
 
-class Disarm(Leased, frozen=True, kw_only=True):
+class DisarmRequest(LeasedRequest, frozen=True, kw_only=True):
     """Release the rig, at 0 V."""
 
     name: ClassVar[str] = "disarm"
 
 
-class Set(Leased, frozen=True, kw_only=True):
+class SetRequest(LeasedRequest, frozen=True, kw_only=True):
     """Hold a voltage until the next `set`, a stop, or the end of the lease."""
 
     name: ClassVar[str] = "set"
@@ -125,7 +125,7 @@ class Set(Leased, frozen=True, kw_only=True):
     """Motor voltage, in V."""
 
 
-class SetReference(Leased, frozen=True, kw_only=True):
+class SetReferenceRequest(LeasedRequest, frozen=True, kw_only=True):
     """Follow another reference from the next sample to the end of a run under a law."""
 
     name: ClassVar[str] = "set_reference"
@@ -133,7 +133,7 @@ class SetReference(Leased, frozen=True, kw_only=True):
     """Reference, in the unit of the law, inside the range of the rehearsed reference."""
 
 
-class RunOptions(Leased, frozen=True, kw_only=True):
+class RunOptions(LeasedRequest, frozen=True, kw_only=True):
     """Command `run` without its input."""
 
     name: ClassVar[str] = "run"
@@ -147,7 +147,7 @@ class RunOptions(Leased, frozen=True, kw_only=True):
     """Longest time without a `renew`, in s, after which the run stops; None: no limit."""
 
 
-class Run(RunOptions, frozen=True, kw_only=True):
+class RunRequest(RunOptions, frozen=True, kw_only=True):
     """Play and record an experiment; the reply is a `RunAccepted`.
 
     The reply may take long, because the input is rehearsed on the model of the rig. Meanwhile the
@@ -173,7 +173,7 @@ class ControlOptions(RunOptions, frozen=True, kw_only=True):
     """True to allow a law without a monitor."""
 
 
-class Control(ControlOptions, frozen=True, kw_only=True):
+class ControlRequest(ControlOptions, frozen=True, kw_only=True):
     """Control the rig by a law or by the client, and record it; the reply is a `RunAccepted`.
 
     The reply may take long, as that of `run`, because the closed loop is rehearsed.
@@ -183,13 +183,13 @@ class Control(ControlOptions, frozen=True, kw_only=True):
     """Reference at each sample, in the unit of the law."""
 
 
-class Renew(Leased, frozen=True, kw_only=True):
+class Renew(LeasedRequest, frozen=True, kw_only=True):
     """Show that the client of the current run, or of the run in preparation, is still alive."""
 
     name: ClassVar[str] = "renew"
 
 
-class Stop(Request, frozen=True, kw_only=True, omit_defaults=True):
+class StopRequest(DaemonRequest, frozen=True, kw_only=True, omit_defaults=True):
     """Go to 0 V. Every client that may send commands may send a stop, with or without a lease."""
 
     name: ClassVar[str] = "stop"
@@ -198,7 +198,7 @@ class Stop(Request, frozen=True, kw_only=True, omit_defaults=True):
     not prevent a stop."""
 
 
-class Note(Request, frozen=True, kw_only=True, omit_defaults=True):
+class NoteRequest(DaemonRequest, frozen=True, kw_only=True, omit_defaults=True):
     """Write a line into the current run's recording.
 
     Every client that may send a stop may send a note.
@@ -211,31 +211,31 @@ class Note(Request, frozen=True, kw_only=True, omit_defaults=True):
     """Author of the note; characters after the 80th are cut off."""
 
 
-class Reset(Request, frozen=True, kw_only=True, omit_defaults=True):
+class ResetRequest(DaemonRequest, frozen=True, kw_only=True, omit_defaults=True):
     """Clear a latched fault; the rig is then disarmed."""
 
     name: ClassVar[str] = "reset"
     fault: str | None = None
     """Id of the fault that is cleared; another fault stays. Required over a network."""
     valid_until_ns: Time | None = None
-    """As in `Leased`: a late command would clear a newer fault. Required over a network."""
+    """As in `LeasedRequest`: a late command would clear a newer fault. Required over a network."""
 
 
-class Calibrate(Request, frozen=True, kw_only=True, omit_defaults=True):
+class CalibrateRequest(DaemonRequest, frozen=True, kw_only=True, omit_defaults=True):
     """Use a measured calibration from now on; accepted only while the rig is safe."""
 
     name: ClassVar[str] = "calibrate"
     replaces: str | None = None
     """Hash of the calibration that is replaced; another one stays. Required over a network."""
     valid_until_ns: Time | None = None
-    """As in `Leased`. Required over a network."""
+    """As in `LeasedRequest`. Required over a network."""
     calibration: Calibration
     """Contents of the file that `armrig calibrate` writes."""
     raw: bytes = b""
     """Samples from which the calibration was estimated, compressed, as base64."""
 
 
-class Status(Request, frozen=True, kw_only=True):
+class Status(DaemonRequest, frozen=True, kw_only=True):
     """Request the state of the daemon and the rig; the reply is a `StatusReport`."""
 
     name: ClassVar[str] = "status"
@@ -246,17 +246,17 @@ MOST_REMOTE_BYTES = (8 << 20) - (64 << 10)
 MOST_DETAILS_BYTES = 1 << 20
 """Longest JSON text of a run's `details`, in B."""
 Requests = (
-    Arm
-    | Disarm
-    | Run
-    | Control
+    ArmRequest
+    | DisarmRequest
+    | RunRequest
+    | ControlRequest
     | Renew
-    | Set
-    | SetReference
-    | Stop
-    | Note
-    | Reset
-    | Calibrate
+    | SetRequest
+    | SetReferenceRequest
+    | StopRequest
+    | NoteRequest
+    | ResetRequest
+    | CalibrateRequest
     | Status
 )
 """Any command."""
@@ -384,7 +384,7 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def described(self) -> Description:
         """Description of the rig."""
-        return Description.of(self.description.encode()) if self.description else shipped("arm")
+        return Description.of(self.description.encode()) if self.description else builtin("arm")
 
 
 _FILLERS = "\u115f\u1160\u3164\uffa0"  # Hangul fillers: letters without a visible glyph
@@ -403,7 +403,7 @@ class Refused(msgspec.Struct, frozen=True, kw_only=True):
     """Values in the sentence `error`, by name, such as the owner of the rig."""
 
 
-def refused(code: RefusalCode, error: str, **parameters: Fact) -> Refused:
+def build_refusal(code: RefusalCode, error: str, **parameters: Fact) -> Refused:
     """Return a refusal with a code."""
     return Refused(error=error, code=code, passes=code.passes, parameters=parameters)
 
@@ -427,13 +427,13 @@ def parse(name: str, payload: bytes) -> Requests:
     if kind is None:
         raise InputError(f"command {name!r}: allowed are {', '.join(REQUESTS)}")
     request = decode(name, payload, kind)
-    if isinstance(request, Arm) and not _is_name(request.owner):
+    if isinstance(request, ArmRequest) and not _is_name(request.owner):
         # Clients print the name of the owner: an escape sequence in it would reach their terminals.
         raise InputError(
             f"arm: owner '{printable(request.owner)}': allowed are 1 to 80 printable characters, "
             "one of them a letter or a digit"
         )
-    if isinstance(request, Note):
+    if isinstance(request, NoteRequest):
         check_note(request.text)
     if isinstance(request, RunOptions):
         check_details(request.details)
@@ -494,5 +494,5 @@ def samples_of(Ts: float, longest_s: float = LONGEST_SAMPLE_S) -> int:
         allowed = f"must be more than 0 and at most {LONGEST_TS:g}, in seconds; 10 ms are 0.01"
         raise ParameterError("Ts", f"{Ts:g}", allowed)
     least = ceil(Ts / longest_s - 1e-9)
-    whole = (n for n in range(least, 2 * least) if round(Ts * 1e6) % n == 0)
-    return next(whole, least)
+    counts = (n for n in range(least, 2 * least) if round(Ts * 1e6) % n == 0)
+    return next(counts, least)

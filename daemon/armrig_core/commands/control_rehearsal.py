@@ -24,8 +24,8 @@ from armrig_core.commands.rehearsal import (
 from armrig_core.control import monitor
 from armrig_core.control.control_law import ControlLaw
 from armrig_core.control.evaluation import (
-    Command,
     Latch,
+    LawCommand,
     LawState,
     Program,
     begin,
@@ -36,7 +36,7 @@ from armrig_core.errors import InputError
 from armrig_core.process.printable import plural
 from armrig_core.rig.channels import COUNTS, HALF_COUNTS, RAIL_COUNTS
 from armrig_core.rig.description import Output
-from armrig_core.rig.volts import applied_code, code_of, volts_of
+from armrig_core.rig.volts import code_of, device_code, volts_of
 
 if TYPE_CHECKING:
     from armrig_core.rig.arm import ArmParameters
@@ -117,11 +117,11 @@ def rehearse_control(
         sensors = [*zip(described.outputs.values(), model.rest.tolist(), strict=False)]
         if model.is_arm:
             sensors = [
-                (output, _start(output, start_rad) if output.turning else rest)
-                for output, rest in sensors
+                (output, _start(output, start_rad) if output.turning else rest_y)
+                for output, rest_y in sensors
             ]
         r = np.asarray(reference, dtype=np.float64)
-        ends = _closed_loop(
+        ends = _simulate_loop(
             program, r, Ts, latch, model, sensors, adc_bits=adc_bits, may_end=unstable
         )
         return check_ends(model, ends, Ts, start_rad, _WAY_OUT)
@@ -132,7 +132,7 @@ def _start(output: Output, start_rad: float | None) -> float:
     return output.value(HALF_COUNTS) if start_rad is None else start_rad
 
 
-def _closed_loop(
+def _simulate_loop(
     law: Program,
     reference: _Array,
     Ts: float,
@@ -150,8 +150,8 @@ def _closed_loop(
     """
     n, rest_v = len(model.A), volts_of(latch.rest_code)
     step, m = model.step(Ts, reference.size)
-    whole = np.linalg.matrix_power(step, m)
-    Phi, Gamma = whole[:n, :n], whole[:n, n]
+    transition = np.linalg.matrix_power(step, m)
+    Phi, Gamma = transition[:n, :n], transition[:n, n]
     underway = deque([rest_v - model.origin_v] * round(model.delay_s / Ts))
     r = reference.tolist()
     state, x, y = begin(law), np.zeros(n), np.zeros(len(model.C))
@@ -164,7 +164,7 @@ def _closed_loop(
             state, command = decide(law, state, k, r, latch)
             if end := _end_by_code(law, state, command):
                 break
-            underway.append(volts_of(applied_code(command.code, latch.pwm_bits)) - model.origin_v)
+            underway.append(volts_of(device_code(command.code, latch.pwm_bits)) - model.origin_v)
             v[size] = now_v = underway.popleft()
             changes = y.tolist()
             values = [
@@ -190,7 +190,7 @@ def _closed_loop(
             return
 
 
-def _end_by_code(law: Program, state: LawState, command: Command) -> str:
+def _end_by_code(law: Program, state: LawState, command: LawCommand) -> str:
     """Return why a run ends instead of applying a code; empty if it goes on."""
     if not isfinite(command.v):
         return f"the law computes the voltage {command.v}"
@@ -208,7 +208,11 @@ def _end_by_sample(law: Program, state: LawState) -> str:
             f"{alarm.name} differs from the law's monitor (its {alarm.gate} gate), because the "
             "monitor has another model than the rig's description"
         )
-    if law.monitor and state.monitor and (name := monitor.lost(law.monitor, state.monitor)):
+    if (
+        law.monitor
+        and state.monitor
+        and (name := monitor.find_lost_output(law.monitor, state.monitor))
+    ):
         return f"{name} has no valid value for too long"
     if state.blind >= law.most_blind:
         return f"the law has no valid output in {plural(state.blind, 'sample')} in a row"
@@ -252,10 +256,10 @@ def _instability(law: Program, model: RigModel, Ts: float) -> str:
         growth = abs(pole) - 1
         if growth <= _FREE_GROWTH and share <= _NOT_FED_BACK:
             continue
-        what = "a deviation"
+        mode = "a deviation"
         if abs(np.angle(pole)) > _EDGE:
-            what = f"an oscillation of {abs(np.angle(pole)) / Ts:.3g} rad/s"
-        return f"{what} grows by {growth:.2%} in each sample" if growth > _EDGE else f"{what} stays"
+            mode = f"an oscillation of {abs(np.angle(pole)) / Ts:.3g} rad/s"
+        return f"{mode} grows by {growth:.2%} in each sample" if growth > _EDGE else f"{mode} stays"
     return ""
 
 
@@ -267,7 +271,7 @@ def _loop(law: Program, model: RigModel, Ts: float) -> tuple[_Array, _Array, _Ar
     """
     n, order = len(model.A), len(law.rows)
     step, m = model.step(Ts, 1)
-    Phi, Gamma = (whole := np.linalg.matrix_power(step, m))[:n, :n], whole[:n, n]
+    Phi, Gamma = (transition := np.linalg.matrix_power(step, m))[:n, :n], transition[:n, n]
     delays = {"model": round(model.delay_s / Ts), "law": law.input_delay}
     past = max(delays.values())
     size = n + order + past

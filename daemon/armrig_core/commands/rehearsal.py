@@ -73,9 +73,9 @@ class RigModel(NamedTuple):
         from armrig_core.rig.arm import zero_order_hold
 
         if self.swing is None:
-            return _augmented(self.A, self.B), 1
+            return _augment(self.A, self.B), 1
         m = max(1, min(ceil(Ts * self.swing / _STEP_PHASE_RAD), MOST_POINTS // N, _MAX_STEPS))
-        return _augmented(*zero_order_hold(self.A, self.B, Ts / m)), m
+        return _augment(*zero_order_hold(self.A, self.B, Ts / m)), m
 
     def rehearsal(
         self, lowest: _Array, highest: _Array, last: _Array, start_rad: float | None
@@ -270,17 +270,17 @@ def check_ends(
     Raises InputError if a value is outside the limits. `wrong` is the end of its sentence, with
     places for the number of the sample and its time.
     """
-    limits, rest = model.limits, model.rest
+    limits, rest_y = model.limits, model.rest
     low, high = (np.array([getattr(x, side) for x in limits.values()]) for side in ("low", "high"))
-    turns = np.array([x.turns for x in limits.values()])[: len(rest)]
-    low, high = low[: len(rest)], high[: len(rest)]
-    lowest, highest, last = np.zeros((3, len(rest)))
+    turns = np.array([x.turns for x in limits.values()])[: len(rest_y)]
+    low, high = low[: len(rest_y)], high[: len(rest_y)]
+    lowest, highest, last = np.zeros((3, len(rest_y)))
     first: dict[int, tuple[int, str]] = {}  # by output: the first sample outside, and the limit
     begin = 0
     for fall, rise, now in ends:
-        above = ~(rest + rise <= high)  # also a NaN
+        above = ~(rest_y + rise <= high)  # also a NaN
         turned = (np.maximum(rise, -fall) / tau >= turns) & (turns > 0)
-        outside = above | ~(rest + fall >= low) | turned
+        outside = above | ~(rest_y + fall >= low) | turned
         for i in np.flatnonzero(outside.any(axis=0)).tolist():
             k = int(np.argmax(outside[:, i]))
             key = "turns" if turned[k, i] else "high" if above[k, i] else "low"
@@ -291,7 +291,7 @@ def check_ends(
     if first:
         i, (k, key) = min(first.items())
         name, limit = [*limits.items()][i]
-        does = f"takes {name} from {rest[i] + lowest[i]:.3g} to {rest[i] + highest[i]:.3g}"
+        does = f"takes {name} from {rest_y[i] + lowest[i]:.3g} to {rest_y[i] + highest[i]:.3g}"
         does += f" {limit.unit}"
         if key == "turns":
             does = f"turns {name} by up to {max(highest[i], -lowest[i]) / tau:.3g} turns"
@@ -299,17 +299,17 @@ def check_ends(
             f"the rehearsal {does}: {name}.{key} = {getattr(limit, key):g} is reached at "
             f"{wrong.format(k, k * Ts)}, or change the limit ([limits], or the rig's description)"
         )
-    return model.rehearsal(rest + lowest, rest + highest, last, start_rad)
+    return model.rehearsal(rest_y + lowest, rest_y + highest, last, start_rad)
 
 
 def _extremes(model: RigModel, v: _Array, Ts: float) -> Iterator[Ends]:
     """Yield the ends of a run, part by part; the state x is 0 at first."""
     n = len(model.A)
     step, m = model.step(Ts, v.size)
-    whole = np.linalg.matrix_power(step, m)
+    transition = np.linalg.matrix_power(step, m)
     start = np.zeros(n)
     for part in _parts(v):
-        x = _states(whole[:n, :n], whole[:n, n], part, start)
+        x = _states(transition[:n, :n], transition[:n, n], part, start)
         start = x[-1]
         yield interval_ends(model.C, step, m, x, part)
 
@@ -333,7 +333,7 @@ def interval_ends(C: _Array, step: _Array, m: int, x: _Array, v: _Array) -> Ends
     return lowest, highest, C @ x[-1]
 
 
-def _augmented(Phi: _Array, Gamma: _Array) -> _Array:
+def _augment(Phi: _Array, Gamma: _Array) -> _Array:
     """Return the matrix that maps (x, u) to (x, u) of the next step, with u held."""
     n = len(Phi)
     both = np.eye(n + 1)

@@ -344,12 +344,12 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
         Examples
         --------
-        >>> from armrig_core.rig.description import shipped
+        >>> from armrig_core.rig.description import builtin
         >>> law = ControlLaw(
         ...     Ts_us=10_000, outputs=(LawOutput(name="alpha", unit="rad"),), A=(), B=(), C=(),
         ...     D=1.0, x0=(), reference=Reference(name="u", unit="V", low=0.0, high=4.0),
         ... )
-        >>> law.check_rig(shipped("arm"), 10_000, 0.0, 5.0)
+        >>> law.check_rig(builtin("arm"), 10_000, 0.0, 5.0)
         """
         if self.Ts_us != Ts_us:
             raise InputError(
@@ -393,12 +393,12 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
         Examples
         --------
-        >>> from armrig_core.rig.description import shipped
+        >>> from armrig_core.rig.description import builtin
         >>> law = ControlLaw(
         ...     Ts_us=10_000, outputs=(LawOutput(name="alpha", unit="rad"),), A=(), B=(), C=(),
         ...     D=1.0, x0=(), reference=Reference(name="u", unit="V", low=0.0, high=4.0),
         ... )
-        >>> law.program(shipped("arm")).channels
+        >>> law.program(builtin("arm")).channels
         (1,)
         """
         channels = [*rig.outputs]

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from armrig_core.control import monitor as monitors
 from armrig_core.control.monitor import MonitorProgram, MonitorState
 from armrig_core.control.sums import Row, Rows, products
-from armrig_core.rig.volts import CODES_PER_V, applied_code, volts_of
+from armrig_core.rig.volts import CODES_PER_V, device_code, volts_of
 
 
 class ReferenceValues(Protocol):
@@ -94,7 +94,7 @@ class LawState(msgspec.Struct, frozen=True, array_like=True, gc=False):
         return all(map(isfinite, self.x))
 
 
-class Command(NamedTuple):
+class LawCommand(NamedTuple):
     """Code of a law for one sample, and how it came about."""
 
     code: int
@@ -136,7 +136,7 @@ def observe(
 
 def decide(
     law: Program, state: LawState, k: int, reference: ReferenceValues, latch: Latch
-) -> tuple[LawState, Command]:
+) -> tuple[LawState, LawCommand]:
     """Return the code for sample k; the state remembers the code, and contains no later sample.
 
     A code is within the law's limits and those of the rig. Its change is limited with respect to
@@ -156,7 +156,7 @@ def decide(
         (v,) = products((law.v_row,), (*ahead.x, reference[k]))
         v += law.u0
     if not isfinite(v):
-        return state, Command(latch.rest_code, v, False, False, False, k - committed)
+        return state, LawCommand(latch.rest_code, v, False, False, False, k - committed)
     code = round(min(max(v * CODES_PER_V, -1.0), 65536.0))
     low, high = max(law.lo_code, latch.code_min), min(law.hi_code, latch.code_max)
     is_low, is_high = code < low, code > high
@@ -168,7 +168,7 @@ def decide(
         within = min(max(code, max(held) - most), min(held) + most)
     limited = state.limited + 1 if is_low or is_high else 0
     state = replace(state, codes=(*codes, within), limited=limited)
-    return state, Command(within, v, is_low, is_high, within != code, k - committed)
+    return state, LawCommand(within, v, is_low, is_high, within != code, k - committed)
 
 
 def _advance(
@@ -177,11 +177,11 @@ def _advance(
     """Return the state after one more sample; without `values`, the sample is missing."""
     x, k, codes, first = state.x, state.k, state.codes, state.first
     y, zeros, valid = _outputs(law, state, values)
-    x = products(law.rows, (*x, r, _latched_v(state, law.input_delay, latch) - law.u0, *y))
+    x = products(law.rows, (*x, r, _past_v(state, law.input_delay, latch) - law.u0, *y))
     monitor, delay = state.monitor, law.input_delay
     is_closed = True
     if law.monitor and monitor:
-        u_v = _latched_v(state, law.monitor.input_delay, latch)
+        u_v = _past_v(state, law.monitor.input_delay, latch)
         monitor = monitors.advance(law.monitor, monitor, y, valid, u_v)
         delay, is_closed = max(delay, law.monitor.input_delay), k >= law.monitor.prelude
     astray = 0
@@ -195,14 +195,14 @@ def _advance(
     return LawState(k + 1, x, y, zeros, codes, kept, blind, astray, state.limited, monitor)
 
 
-def _latched_v(state: LawState, delay: int, latch: Latch) -> float:
+def _past_v(state: LawState, delay: int, latch: Latch) -> float:
     """Return the voltage that the device latched `delay` samples before the state's sample."""
     i = state.k - delay
     # Before the run, and after the last code of the law, the device holds rest.
     is_decided = 0 <= i < state.first + len(state.codes)
     code = state.codes[i - state.first] if is_decided else latch.rest_code
     # The device rounds a code to its resolution: this is the code that it latches.
-    return volts_of(applied_code(code, latch.pwm_bits))
+    return volts_of(device_code(code, latch.pwm_bits))
 
 
 def _outputs(
@@ -213,15 +213,15 @@ def _outputs(
     if law.predictions is not None:
         expected = products(law.predictions, state.x)
     elif law.monitor and state.monitor:
-        expected = monitors.expected(law.monitor, state.monitor)
+        expected = monitors.predict_outputs(law.monitor, state.monitor)
     if values is None:
         return expected, zeros, (False,) * len(expected)
     y, valid = [], []
-    for y0, channel, turning, own in zip(law.y0, law.channels, law.turning, expected, strict=True):
+    for y0, channel, turning, yhat in zip(law.y0, law.channels, law.turning, expected, strict=True):
         value = values[channel]
         valid.append(-inf < value < inf)  # a NaN fails this, too
         if not valid[-1]:
-            y.append(own)
+            y.append(yhat)
             continue
         if not turning:
             y.append(value - y0)
@@ -229,9 +229,9 @@ def _outputs(
         i = len(y)
         zero = zeros[i]
         if zero is None:
-            zero = value - own
+            zero = value - yhat
             zeros = (*zeros[:i], zero, *zeros[i + 1 :])
         turned = value - zero
-        turns = (own - turned) / tau
+        turns = (yhat - turned) / tau
         y.append(turned + tau * round(turns) if isfinite(turns) else turned)
     return tuple(y), zeros, tuple(valid)

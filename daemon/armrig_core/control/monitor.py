@@ -14,7 +14,7 @@ row with a difference beyond its bound:
   than 6 deviations, the output was not at rest and may return to it: |z| is added.
 
 A missing output changes no count of a gate. It is lost after a number of samples, and a turning
-one after a turn (`lost`). A difference that is not finite is beyond each bound.
+one after a turn (`find_lost_output`). A difference that is not finite is beyond each bound.
 
 The innovation sees a fast change that the input does not explain. The simulation sees a slow one,
 which the observer follows.
@@ -156,7 +156,7 @@ def alarm(monitor: MonitorProgram, state: MonitorState) -> Alarm | None:
     return None
 
 
-def lost(monitor: MonitorProgram, state: MonitorState) -> str:
+def find_lost_output(monitor: MonitorProgram, state: MonitorState) -> str:
     """Return the name of an output that has had no valid value for too long; "" for none.
 
     A turning output passes its dead band at any speed, so its predicted turn counts, not the time.
@@ -164,7 +164,7 @@ def lost(monitor: MonitorProgram, state: MonitorState) -> str:
     """
     if not any(state.missing):
         return ""
-    now = expected(monitor, state)
+    now = predict_outputs(monitor, state)
     for i, count in enumerate(state.missing):
         turn, turned = monitor.most_turned[i], abs(now[i] - state.seen[i])
         if count == 0:
@@ -178,7 +178,7 @@ def lost(monitor: MonitorProgram, state: MonitorState) -> str:
     return ""
 
 
-def expected(monitor: MonitorProgram, state: MonitorState) -> Row:
+def predict_outputs(monitor: MonitorProgram, state: MonitorState) -> Row:
     """Return the outputs that the monitor predicts for the next sample."""
     y = products(monitor.predictions, state.x)
     return tuple(value + (zero or 0.0) for value, zero in zip(y, state.zeros, strict=True))

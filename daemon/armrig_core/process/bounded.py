@@ -27,18 +27,18 @@ def read_bounded(
     end), or has more than `most` bytes.
     """
     # Not os.fdopen: for a directory, its error contains a descriptor's number instead of the path.
-    with open(path, "rb", opener=opened) as file:
-        found = os.fstat(file.fileno())
-        if not stat.S_ISREG(found.st_mode):
+    with open(path, "rb", opener=open_untrusted) as file:
+        inode = os.fstat(file.fileno())
+        if not stat.S_ISREG(inode.st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))
-        check(found)
+        check(inode)
         data = file.read(most + 1)
     if len(data) > most:
         raise OSError(errno.EFBIG, f"more than the {most} B allowed", str(path))
     return data
 
 
-def opened(path: str, flags: int) -> int:
+def open_untrusted(path: str, flags: int) -> int:
     """Open an untrusted file; use this function as the `opener` of `open`."""
     # O_NONBLOCK: do not wait until somebody writes to a pipe. Of these flags Windows has only
     # O_BINARY; without this flag, Windows changes line ends.
@@ -52,10 +52,10 @@ def read_text(path: Path, most: int) -> str:
     Raises FileError if the file is not encoded as UTF-8. Raises OSError if the file cannot be read,
     as in `read_bounded`.
     """
-    return decoded(read_bounded(path, most))
+    return decode_text(read_bounded(path, most))
 
 
-def decoded(data: bytes) -> str:
+def decode_text(data: bytes) -> str:
     """Return the text that `data` encodes, without the byte order mark that some editors write.
 
     Raises FileError if `data` is not UTF-8.

@@ -15,7 +15,7 @@ R = TypeVar("R")
 T = TypeVar("T")
 
 
-def checked_call(f: Callable[P, R]) -> Callable[P, R]:
+def with_argument_checks(f: Callable[P, R]) -> Callable[P, R]:
     """Return the function with checks for missing, unknown or too many arguments.
 
     For too many arguments, Python's own message contains only their number. The message of the
@@ -25,16 +25,16 @@ def checked_call(f: Callable[P, R]) -> Callable[P, R]:
     name = f.__qualname__.removesuffix(".__init__").rpartition(".")[2]
 
     @wraps(f)
-    def checked(*args: P.args, **options: P.kwargs) -> R:
+    def call(*args: P.args, **options: P.kwargs) -> R:
         check_call(name, asked, args, options)
         return f(*args, **options)
 
-    return checked
+    return call
 
 
-def checked_class(cls: type[T]) -> type[T]:
-    """Return the class with checks of the arguments of its constructor, as in `checked_call`."""
-    cls.__init__ = checked_call(cls.__init__)  # type: ignore[method-assign]
+def with_constructor_checks(cls: type[T]) -> type[T]:
+    """Return the class with checks of its constructor's arguments, as in `with_argument_checks`."""
+    cls.__init__ = with_argument_checks(cls.__init__)  # type: ignore[method-assign]
     return cls
 
 
@@ -49,14 +49,14 @@ def check_call(
     try:
         asked.bind(*args, **options)
     except TypeError:
-        raise InputTypeError(_explained(name, asked, args, options)) from None
+        raise InputTypeError(_explain(name, asked, args, options)) from None
 
 
-def _explained(name: str, asked: Signature, args: Sequence[Any], options: Mapping[str, Any]) -> str:
+def _explain(name: str, asked: Signature, args: Sequence[Any], options: Mapping[str, Any]) -> str:
     parameters = [p for p in asked.parameters.values() if p.name != "self"]
     names = [p.name for p in parameters]
     positional = [p.name for p in parameters if p.kind is Parameter.POSITIONAL_OR_KEYWORD]
-    given = len(args) - ("self" in asked.parameters)
+    count = len(args) - ("self" in asked.parameters)
     for option in options:
         if option not in names:
             near = get_close_matches(option, names, n=1) or [
@@ -66,21 +66,21 @@ def _explained(name: str, asked: Signature, args: Sequence[Any], options: Mappin
             return f"{name} has no {option}; {meant}it takes {', '.join(names)}"
     needed = [p for p in parameters if p.default is Parameter.empty]
     needed = [p for p in needed if p.kind is not Parameter.VAR_POSITIONAL]
-    call = f"{name}({', '.join(_written(p) for p in needed)})"
-    if given > len(positional):
+    call = f"{name}({', '.join(_argument_text(p) for p in needed)})"
+    if count > len(positional):
         by_name = [n for n in names if n not in positional]
         if by_name:
             return f"{name} takes {', '.join(by_name[:3])} by name: {call}"
-        return f"{name} takes {', '.join(positional)}, but was given {given}: {call}"
-    taken = {*options, *positional[:given]}
+        return f"{name} takes {', '.join(positional)}, but was given {count}: {call}"
+    taken = {*options, *positional[:count]}
     missing = [p.name for p in needed if p.name not in taken]
     if not missing:
-        twice = [n for n in positional[:given] if n in options]
+        twice = [n for n in positional[:count] if n in options]
         return f"{name} was given {' and '.join(twice)} twice: {call}"
     return f"{name} needs {' and '.join(missing)}: {call}"
 
 
-def _written(p: Parameter) -> str:
+def _argument_text(p: Parameter) -> str:
     """Return the text of an argument in a call, such as `[u, …]` or `Ts=…`."""
     if str(p.annotation).startswith("Sequence"):
         return f"[{p.name}, …]"

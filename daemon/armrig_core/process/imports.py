@@ -46,7 +46,7 @@ class MissingPackageError(InputError, ImportError):
         ImportError.__init__(self, msg, name=name)
 
 
-def imported(module: str, extra: str) -> Any:
+def load_extra(module: str, extra: str) -> Any:
     """Return the imported module of an optional extra, or raise MissingPackageError."""
     try:
         return import_module(module)

@@ -26,5 +26,5 @@ def log_prefix(level: str, fd: int = 2) -> str | None:
     """
     if not (stream := os.environ.get("JOURNAL_STREAM", "")):
         return None
-    found = os.fstat(fd)
-    return f"<{priority(level)}>" if stream == f"{found.st_dev}:{found.st_ino}" else None
+    inode = os.fstat(fd)
+    return f"<{priority(level)}>" if stream == f"{inode.st_dev}:{inode.st_ino}" else None

@@ -44,10 +44,10 @@ def require(program: str, *, memory_mib: int, files: int) -> None:
             "begin in a shell without `ulimit -v`, or remove LimitAS= from the unit"
         )
     raise_limit(files)
-    found = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    if found != resource.RLIM_INFINITY and found < files:
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if limit != resource.RLIM_INFINITY and limit < files:
         raise OperationError(
-            f"open files are limited to {found}, {program} needs {files}: begin in a shell with "
+            f"open files are limited to {limit}, {program} needs {files}: begin in a shell with "
             f"`ulimit -n {files}` or more, or set LimitNOFILE= in the unit"
         )
 
@@ -68,12 +68,12 @@ class FullTable:
 
     def look(self) -> tuple[str, str] | None:
         """Return a log line and its level if the table became full or has room again."""
-        found, most = count(), resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-        is_full = most != resource.RLIM_INFINITY and found > most - _SPARE
+        open_count, most = count(), resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        is_full = most != resource.RLIM_INFINITY and open_count > most - _SPARE
         if is_full == self._is_full:
             return None
         self._is_full = is_full
-        files = f"{found} of {most} files are open: new clients"
+        files = f"{open_count} of {most} files are open: new clients"
         if not is_full:
             return "info", f"{files} can connect again"
         return "error", (
@@ -110,13 +110,13 @@ class NetworkGuard:
         """
         if self._is_shut:
             return self._open(now_s) if now_s >= self._again_s else None
-        found = self._count()
-        if found <= (MAX_FILES if is_busy else MAX_IDLE_FILES):
+        open_count = self._count()
+        if open_count <= (MAX_FILES if is_busy else MAX_IDLE_FILES):
             return None
         self._shut()
         self._is_shut, self._again_s = True, now_s + SHUT_S
         return "error", (
-            f"[access] {plural(found, 'file is', 'files are')} open: a client holds unused "
+            f"[access] {plural(open_count, 'file is', 'files are')} open: a client holds unused "
             "connections; the network is "
             f"shut for {SHUT_S:g} s, the Unix socket stays open; `ss -tn` shows the client"
         )

@@ -17,41 +17,41 @@ _OPTION = "option"  # key of a field's metadata
 
 
 def option(
-    names: str, text: str, shown: str | bool = True, metavar: str | None = None, **more: Any
+    names: str, text: str, show: str | bool = True, metavar: str | None = None, **more: Any
 ) -> Any:
     """Return an option of a command, such as `option("-o --plot FIGURE", "Figure to write.")`.
 
-    `shown` is the text for the default in the help; it is needed if the default is None, or a flag
+    `show` is the text for the default in the help; it is needed if the default is None, or a flag
     is set. `more` are arguments of `typer.Option`.
     """
     flags = [word for word in names.split() if word.startswith("-")]
     metavar = metavar or names.removeprefix(" ".join(flags)).strip() or None
-    return typer.Option(*flags, metavar=metavar, help=text, show_default=shown, **more)
+    return typer.Option(*flags, metavar=metavar, help=text, show_default=show, **more)
 
 
-def chosen(default: Any, text: str, shown: str | bool = True, names: str = "", **more: Any) -> Any:
+def preset(default: Any, text: str, show: str | bool = True, names: str = "", **more: Any) -> Any:
     """Return the value of a parameter or field that is an option with a default of its own.
 
-    Such as `seconds: float = chosen(30.0, "Length, in s.")`, the option `--seconds`. If the option
+    Such as `seconds: float = preset(30.0, "Length, in s.")`, the option `--seconds`. If the option
     has other `names`, they are those of `option`.
     """
-    return field(default=default, metadata={_OPTION: (names, text, shown, more)})
+    return field(default=default, metadata={_OPTION: (names, text, show, more)})
 
 
 def _option_of(name: str, chosen: Field[Any]) -> Any:
     """Return the option of a parameter or field with the default `chosen`; None without one."""
     if _OPTION not in chosen.metadata:
         return None
-    names, text, shown, more = chosen.metadata[_OPTION]
-    return option(names or f"--{name.replace('_', '-')}", text, shown, **more)
+    names, text, show, more = chosen.metadata[_OPTION]
+    return option(names or f"--{name.replace('_', '-')}", text, show, **more)
 
 
-def argument(metavar: str, text: str, shown: str | bool = True, **more: Any) -> Any:
+def argument(metavar: str, text: str, show: str | bool = True, **more: Any) -> Any:
     """Return an argument of a command, from its metavar and its help."""
-    return typer.Argument(metavar=metavar, help=text, show_default=shown, **more)
+    return typer.Argument(metavar=metavar, help=text, show_default=show, **more)
 
 
-def noted(which: Any, note: str) -> Any:
+def extend(which: Any, note: str) -> Any:
     """Return an option with a note at the end of its help."""
     which = copy(which)
     which.help = f"{which.help.removesuffix('.')}{note}."
@@ -89,15 +89,15 @@ def group(
     does. The options of the fields `repeatable` may be repeated; each is then a list.
     """
     kinds = get_type_hints(kind, include_extras=True)
-    known = {one.name: one for one in fields(kind)}
+    field_by_name = {option_field.name: option_field for option_field in fields(kind)}
     options = []
-    for name in names or known:
-        taken, which = kinds[name], _option_of(name, known[name])
+    for name in names or field_by_name:
+        taken, which = kinds[name], _option_of(name, field_by_name[name])
         if which is None:
             taken, which = get_args(taken)
         if name in repeatable:
-            taken, which = list[str] | None, noted(which, "; repeatable")
-        options.append(parameter(name, taken, which, known[name].default))
+            taken, which = list[str] | None, extend(which, "; repeatable")
+        options.append(parameter(name, taken, which, field_by_name[name].default))
     return Group(options, made or kind, check)
 
 
@@ -142,13 +142,13 @@ def _with_default(p: inspect.Parameter) -> inspect.Parameter:
     of one value, because the option is repeated.
     """
     kind, which = get_args(p.annotation)
-    which, shown = copy(which), which.show_default
-    if values := [get_args(one) for one in (kind, *get_args(kind)) if get_origin(one) is list]:
+    which, default_text = copy(which), which.show_default
+    if values := [get_args(hint) for hint in (kind, *get_args(kind)) if get_origin(hint) is list]:
         which.metavar = which.metavar or f"<{values[0][0].__name__}>"
-    if shown is True and p.default not in (p.empty, None, False):
-        shown = f"{p.default:g}" if isinstance(p.default, float) else str(p.default)
-    if isinstance(shown, str):
-        which.help = f"{which.help} Default: {shown}"
+    if default_text is True and p.default not in (p.empty, None, False):
+        default_text = f"{p.default:g}" if isinstance(p.default, float) else str(p.default)
+    if isinstance(default_text, str):
+        which.help = f"{which.help} Default: {default_text}"
         which.show_default = False
     return p.replace(annotation=Annotated[kind, which])
 
@@ -158,7 +158,7 @@ def _files(values: dict[str, Any]) -> list[Path]:
     return [file for value in each for file in value if isinstance(file, Path)]
 
 
-class Commands(typer.Typer):
+class CommandGroup(typer.Typer):
     """Commands of a group such as `armrig pki`."""
 
     def __init__(self, text: str, **settings: Any) -> None:

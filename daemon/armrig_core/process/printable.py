@@ -23,21 +23,21 @@ def printable(text: str, keep: str = "") -> str:
     """
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or c in keep else _escaped(c) for c in text)
+    return "".join(c if c.isprintable() or c in keep else _escape(c) for c in text)
 
 
-def printable_texts(found: Any) -> Any:
+def printable_texts(document: Any) -> Any:
     """Return lists and tables, as of JSON, with unprintable characters of their texts escaped.
 
     Line breaks, tabs and `SPACES` are kept.
     """
-    if isinstance(found, str):
-        return printable(found, keep="\n\t" + SPACES)
-    if isinstance(found, list):
-        return [printable_texts(value) for value in found]
-    if isinstance(found, dict):
-        return {printable_texts(key): printable_texts(value) for key, value in found.items()}
-    return found
+    if isinstance(document, str):
+        return printable(document, keep="\n\t" + SPACES)
+    if isinstance(document, list):
+        return [printable_texts(value) for value in document]
+    if isinstance(document, dict):
+        return {printable_texts(key): printable_texts(value) for key, value in document.items()}
+    return document
 
 
 def json_printable(text: str) -> str:
@@ -55,15 +55,15 @@ def brief(message: str) -> str:
 
     A message may quote a very long value of a user; the advice after the value must stay visible.
     """
-    return _LONG_WORD.sub(_shortened, message)
+    return _LONG_WORD.sub(_shorten, message)
 
 
-def _shortened(found: re.Match[str]) -> str:
-    text = found[0]
+def _shorten(match: re.Match[str]) -> str:
+    text = match[0]
     return f"{text[:_KEPT_LENGTH]}… ({plural(len(text), 'character')}){text[-1]}"
 
 
-def _escaped(character: str) -> str:
+def _escape(character: str) -> str:
     return character.encode("unicode_escape").decode()
 
 
@@ -72,10 +72,10 @@ def _json_escaped(character: str) -> str:
     return "".join(f"\\u{units[i : i + 2].hex()}" for i in range(0, len(units), 2))
 
 
-def plural(n: SupportsIndex | float, one: str, many: str = "") -> str:
+def plural(n: SupportsIndex | float, singular: str, many: str = "") -> str:
     """Return a number with its noun: 1 sample, 2 samples, 0.5 days; `many` is by default with s."""
     number = f"{n:g}" if isinstance(n, float) else f"{index(n)}"
-    return f"{number} {one if number == '1' else many or f'{one}s'}"
+    return f"{number} {singular if number == '1' else many or f'{singular}s'}"
 
 
 def with_degrees(text: str) -> str:

@@ -112,7 +112,7 @@ def until_signal() -> Iterator[SignalPipe]:
 
 
 @contextmanager
-def held_back() -> Iterator[None]:
+def block_signals() -> Iterator[None]:
     """Block the signals of `ENDING` in a `with` block; a process started there inherits the mask.
 
     The new process unblocks the signals when it creates its `SignalPipe`. A Ctrl-C reaches all

@@ -21,7 +21,7 @@ _DEEP_KEY = re.compile(rf"(?<![\\\w-])(?:{_PART}[ \t]*\.[ \t]*){{{_MAX_KEY_PARTS
 T = TypeVar("T", bound=msgspec.Struct)
 
 
-class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A table of a TOML file."""
 
 
@@ -81,20 +81,20 @@ def convert(table: dict[str, Any], kind: type[T]) -> T:
 def _explain(message: str, table: dict[str, Any], kind: type[msgspec.Struct]) -> str:
     text, _, place = message.partition(" - at `$")
     keys = [key for key in place.strip("`.").split(".") if key and key != "[...]"]
-    came, expected, name = _at(table, keys), _kind_at(kind, keys), ".".join(keys)
+    setting, expected, name = _at(table, keys), _kind_at(kind, keys), ".".join(keys)
     is_table = isinstance(expected, type) and issubclass(expected, msgspec.Struct)
     unknown = re.search(r"unknown field `(.+?)`", text)
     if unknown:
-        value = came.get(unknown[1]) if isinstance(came, dict) else None
+        value = setting.get(unknown[1]) if isinstance(setting, dict) else None
         allowed = f"; allowed are {', '.join(expected.__struct_fields__)}" if is_table else ""
         return f"{'.'.join([*keys, unknown[1]])} = {value!r}: no such key{allowed}"
-    if keys and is_table and not isinstance(came, dict):
-        return f"{name} = {came!r}: must be a table, [{name}]"
+    if keys and is_table and not isinstance(setting, dict):
+        return f"{name} = {setting!r}: must be a table, [{name}]"
     if not keys or is_table:  # the message of a check of a table names the key
         return f"{name}: {text}" if keys else text
     if get_origin(expected) is Literal:
         text = f"allowed are {', '.join(map(repr, get_args(expected)))}"
-    return f"{name} = {came!r}: {text[0].lower()}{text[1:]}"
+    return f"{name} = {setting!r}: {text[0].lower()}{text[1:]}"
 
 
 def _at(table: Any, keys: list[str]) -> Any:

@@ -44,12 +44,12 @@ class Budget:
         }
         self.spent = dict.fromkeys(self.limits, 0)
 
-    def spend(self, what: str, cost: int) -> None:
+    def spend(self, quantity: str, cost: int) -> None:
         """Add a cost; raise DamageError if it exceeds the limit."""
-        self.spent[what] += cost
-        if self.spent[what] > self.limits[what]:
-            raise DamageError(f"more than {self.limits[what]} {what}")
+        self.spent[quantity] += cost
+        if self.spent[quantity] > self.limits[quantity]:
+            raise DamageError(f"more than {self.limits[quantity]} {quantity}")
 
-    def regain(self, what: str) -> None:
+    def regain(self, quantity: str) -> None:
         """Set a cost to 0, because the counted memory was released."""
-        self.spent[what] = 0
+        self.spent[quantity] = 0

@@ -11,7 +11,7 @@ import zstandard
 from mcap.opcode import Opcode
 
 from armrig_core.recording_file.budget import UNPACKED, Budget, DamageError
-from armrig_core.recording_file.file_records import CHUNK_LIMIT, RECORD_HEAD, Record
+from armrig_core.recording_file.file_records import CHUNK_LIMIT, RECORD_HEAD, FileRecord
 
 _HEAD = Struct("<QQQII")  # start, end, uncompressed size, uncompressed CRC, length of the name
 
@@ -24,7 +24,7 @@ class Unpacker:
         self._budget = budget
         self._zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_LIMIT)
 
-    def parts(self, record: Record) -> Iterator[tuple[int, bytes]]:
+    def parts(self, record: FileRecord) -> Iterator[tuple[int, bytes]]:
         """Yield the opcodes and contents of the records in a chunk, or of another record."""
         if record.opcode != Opcode.CHUNK:
             yield record.opcode, record.body
@@ -51,9 +51,9 @@ class Unpacker:
             raise DamageError(f"a chunk of {size} B is larger than the {CHUNK_LIMIT} B allowed")
         self._budget.spend(UNPACKED, size)
         if compression == "zstd":
-            data = self._unpacked(packed, size)
+            data = self._unpack(packed, size)
         elif compression == "lz4":
-            data = _unpacked_lz4(packed, size)
+            data = _unpack_lz4(packed, size)
         elif compression:
             raise DamageError(f"compression {compression!r}: allowed are zstd, lz4 and none")
         else:
@@ -62,7 +62,7 @@ class Unpacker:
             raise DamageError("the checksum or the size of a chunk is wrong")
         return data
 
-    def _unpacked(self, packed: memoryview, size: int) -> bytes:
+    def _unpack(self, packed: memoryview, size: int) -> bytes:
         try:
             # If the frame states `size`, `decompress` returns at most `size` B. Any other frame is
             # read as a stream, because decompress(max_output_size=…) would trust the frame.
@@ -74,7 +74,7 @@ class Unpacker:
             raise DamageError(f"a chunk cannot be unpacked ({err})") from err
 
 
-def _unpacked_lz4(packed: memoryview, size: int) -> bytes:
+def _unpack_lz4(packed: memoryview, size: int) -> bytes:
     try:
         data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
     except RuntimeError as err:

@@ -73,30 +73,30 @@ class Place(NamedTuple):
     length: int
 
 
-class Record(NamedTuple):
-    """A record that the caller selected by `Wanted`."""
+class FileRecord(NamedTuple):
+    """A record that the caller selected by `RecordSelection`."""
 
     opcode: int
     body: bytes
-    """Content; empty for an attachment with a name in `Wanted.left`."""
+    """Content; empty for an attachment with a name in `RecordSelection.left`."""
     place: Place
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wanted:
+class RecordSelection:
     """Selection of the records to read; all others are skipped."""
 
     chunk: Callable[[int, int], bool] | None = None
     """Filter of chunks by their first and last log time, in ns; None selects all chunks."""
     left: tuple[str, ...] = ()
-    """Names of attachments whose content is not read; their `Record` has an empty `body`."""
+    """Names of attachments whose content is not read; their `FileRecord` has an empty `body`."""
     attachment: int = RECORD_LIMIT
     """Longest attachment that is read, in B; longer attachments are skipped."""
 
 
 def file_records(
-    source: ByteSource, wanted: Wanted, spend: Callable[[int], None]
-) -> Iterator[Record]:
+    source: ByteSource, wanted: RecordSelection, spend: Callable[[int], None]
+) -> Iterator[FileRecord]:
     """Yield the records up to the final magic.
 
     `source` is positioned after the magic. `spend` is called for each record with the record's
@@ -127,7 +127,7 @@ def file_records(
         if opcode == Opcode.ATTACHMENT:
             begin = source.read(min(length, _ATTACHMENT_HEAD + _NAME_LIMIT))
             if any(_is_named(begin, name) for name in wanted.left):
-                yield Record(opcode, b"", place)
+                yield FileRecord(opcode, b"", place)
                 source.skip(length - len(begin))
                 continue
             if length > wanted.attachment:
@@ -150,7 +150,7 @@ def file_records(
             _check_data(source, body)
             ended = True
         else:
-            yield Record(opcode, body, place)
+            yield FileRecord(opcode, body, place)
 
 
 def check_attachment(attachment: bytes) -> None:

@@ -11,7 +11,7 @@ from msgspec import UNSET, UnsetType
 from armrig_core.commands.codes import OutcomeCode
 from armrig_core.commands.commands import EVERY, Rehearsal
 from armrig_core.errors import InputError
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from armrig_core.rig.emulated import is_emulated
 
 RUN = "armrig.run"
@@ -37,7 +37,7 @@ _DEPTH_LIMIT = 32
 _INDEX_LIMIT = 1 << 62
 
 
-class _Record(msgspec.Struct, frozen=True, kw_only=True):
+class _MetadataRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Contents of a metadata record."""
 
     def metadata(self) -> dict[str, str]:
@@ -59,7 +59,7 @@ class _Record(msgspec.Struct, frozen=True, kw_only=True):
 _MOST_EVERY = 12_000  # 60 s, in samples of 5 ms
 
 
-class Manifest(_Record, frozen=True, kw_only=True):
+class Manifest(_MetadataRecord, frozen=True, kw_only=True):
     """Description of a run; each field is one entry of the metadata, as JSON."""
 
     rig: str
@@ -162,7 +162,7 @@ class Manifest(_Record, frozen=True, kw_only=True):
         return is_emulated(uid=str(self.device.get("uid", "")), port=str(self.host.get("port", "")))
 
 
-class Outcome(_Record, frozen=True, kw_only=True):
+class Outcome(_MetadataRecord, frozen=True, kw_only=True):
     """End of a run."""
 
     outcome: str
@@ -175,7 +175,7 @@ class Outcome(_Record, frozen=True, kw_only=True):
     """Outcome for programs, an `OutcomeCode`."""
 
 
-class Recovered(_Record, frozen=True, kw_only=True):
+class Recovered(_MetadataRecord, frozen=True, kw_only=True):
     """Completion of a file that its daemon left unfinished."""
 
     when: str
@@ -196,7 +196,7 @@ def description_of(attachments: Mapping[str, bytes]) -> Description:
     Raises FileError or InputError if the attached description is not allowed.
     """
     text = attachments.get(DESCRIPTION)
-    return shipped("arm") if text is None else Description.of(text)
+    return builtin("arm") if text is None else Description.of(text)
 
 
 def check_whole_numbers(record: Manifest | Outcome | Recovered) -> None:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from armrig_core.process.bounded import opened
+from armrig_core.process.bounded import open_untrusted
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_records import MAGIC
@@ -54,7 +54,7 @@ def regular_file(path: Path, *, may_be_link: bool = True) -> IO[bytes]:
         if not may_be_link or not _is_own(path):
             kind = "another user's link" if may_be_link else "a link"
             raise DamageError(f"{kind} is not followed; copy the file to which it leads") from None
-        stream = open(path, "rb", opener=opened)  # noqa: SIM115 - the caller closes it
+        stream = open(path, "rb", opener=open_untrusted)  # noqa: SIM115 - the caller closes it
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
         stream.close()
         raise DamageError("not a regular file")
@@ -68,7 +68,7 @@ def _is_own(link: Path) -> bool:
 
 def no_link(path: str, flags: int) -> int:
     """Open an untrusted file, but no link; use this function as the `opener` of `open`."""
-    return opened(path, flags | getattr(os, "O_NOFOLLOW", 0))
+    return open_untrusted(path, flags | getattr(os, "O_NOFOLLOW", 0))
 
 
 def lock(file: IO[bytes]) -> None:

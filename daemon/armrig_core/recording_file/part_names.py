@@ -23,15 +23,15 @@ def part_paths(path: Path) -> list[Path]:
     """
     if path.exists() or path.suffix != ".mcap":
         return [path]
-    found = path.parent.glob("*.mcap*") if path.parent.is_dir() else ()
-    parts = [p for p in found if part_number(p) and p.name.startswith(path.stem + PART)]
+    files = path.parent.glob("*.mcap*") if path.parent.is_dir() else ()
+    parts = [p for p in files if part_number(p) and p.name.startswith(path.stem + PART)]
     return sorted(parts, key=lambda part: (part_number(part), part)) or [path]
 
 
 def part_number(path: Path) -> int:
     """Return the part number in a file's name, 1 or more; 0 if the file is not a part."""
-    run, _, rest = path.name.rpartition(PART)
-    number, _, ending = rest.partition(".")
+    run, _, tail = path.name.rpartition(PART)
+    number, _, ending = tail.partition(".")
     is_number = number.isascii() and number.isdigit()
     is_one = bool(run) and is_number and ending in ("mcap", f"mcap{ACTIVE}")
     return int(number) if is_one else 0

@@ -23,7 +23,7 @@ from armrig_core.errors import ArmrigError
 from armrig_core.process.printable import plural
 from armrig_core.recording_file.manifest import Manifest, Outcome
 from armrig_core.recording_file.part_names import ACTIVE, part_path
-from armrig_core.recording_file.recording_part import ChangedError, EndsHereError, Part
+from armrig_core.recording_file.recording_part import ChangedError, EndsHereError, RecordingPart
 from armrig_core.telemetry.telemetry import Outgoing
 
 FLUSH_S = 0.1
@@ -46,10 +46,10 @@ class _Beginning(NamedTuple):
     t_first_ns: int
 
 
-class Recording:
+class ActiveRecording:
     """A recording; its caller never waits for the disk."""
 
-    _part: Part  # from the creation of its file on
+    _part: RecordingPart  # from the creation of its file on
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class Recording:
         self._changed = changed
         self._failure: OSError | None = None
         self._is_open = False
-        self._parts: list[Part] = []
+        self._parts: list[RecordingPart] = []
         self._written = self._flushed = 0  # samples
         self._busy_since_s = time.monotonic()  # inf: the writer waits for messages, not for a disk
         self._queue: queue.SimpleQueue[_Beginning | list[Outgoing] | Ending] = queue.SimpleQueue()
@@ -188,15 +188,15 @@ class Recording:
         waited_s = time.monotonic() - min(self._busy_since_s, self._syncer.begun_s)
         if waited_s < limit_s or self.done:
             return
-        came = self.samples + self.dropped
+        N = self.samples + self.dropped
         why = f"the disk did not answer for {waited_s:.0f} s" if waited_s > 0 else "not renamed"
-        what = (
-            f"all {plural(came, 'sample is', 'samples are')} on the disk; `armrig recover` the file"
+        sentence = (
+            f"all {plural(N, 'sample is', 'samples are')} on the disk; `armrig recover` the file"
         )
-        if lost := came - self.synced:
-            what = f"up to {lost} of {came} samples are lost; `armrig recover` the others"
+        if lost := N - self.synced:
+            sentence = f"up to {lost} of {N} samples are lost; `armrig recover` the others"
         if not (self.is_created and self._part.is_named):  # a named file is complete
-            self.error = self.error or f"{self.kept}: {why}; {what}"
+            self.error = self.error or f"{self.kept}: {why}; {sentence}"
         self.done = True
 
     def _write(self) -> None:
@@ -223,7 +223,7 @@ class Recording:
             if objection := self._check():
                 raise RecordingError(objection)
             name = self.active.name.removesuffix(ACTIVE)
-            self._part = Part(self.active.with_name(name), self._mode)
+            self._part = RecordingPart(self.active.with_name(name), self._mode)
         except OSError as err:
             self._fail(err)
             return False
@@ -329,7 +329,7 @@ class Recording:
         ended, number = self._part, self._part.manifest.part + 1
         manifest = replace(ended.manifest, part=number, part_k_first=k_first)
         try:
-            part = Part(part_path(self.path, number), self._mode).begin(
+            part = RecordingPart(part_path(self.path, number), self._mode).begin(
                 manifest, self._attachments, t_ns
             )
         except OSError as err:
@@ -409,11 +409,13 @@ class Syncer:
         """Monotonic time at which the current sync began; inf between two syncs."""
         self.ended_s = -inf
         """Monotonic time at which the last sync ended; inf after a request."""
-        self._requests: queue.SimpleQueue[tuple[Part, int, bool] | None] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[tuple[RecordingPart, int, bool] | None] = (
+            queue.SimpleQueue()
+        )
         self._thread = threading.Thread(target=self._sync, name="sync", daemon=True)
         self._thread.start()
 
-    def request(self, part: Part, samples: int, *, is_complete: bool = False) -> None:
+    def request(self, part: RecordingPart, samples: int, *, is_complete: bool = False) -> None:
         """Request the sync of the first `samples` samples; a complete part is then named."""
         self.ended_s = inf
         self._requests.put((part, samples, is_complete))

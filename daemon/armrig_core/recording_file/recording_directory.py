@@ -19,15 +19,15 @@ OF_SERVICE = Path("/var/lib/armrig/recordings")
 """Recordings directory of the service on this machine, set by StateDirectory= of its unit."""
 
 
-def installed(rig: str = "", *, system: bool = False) -> list[Path]:
+def configuration_files(rig: str = "", *, system: bool = False) -> list[Path]:
     """Return the configuration files that exist; a later file overrides an earlier one.
 
     The own file of `rig` in /etc/armrig overrides the file for all rigs. If `system` is True, the
     files of the user are left out.
     """
-    own = [of_rig(rig)] if rig else []
+    rig_files = [of_rig(rig)] if rig else []
     user = [] if system else [Path(platformdirs.user_config_dir("armrig")) / SYSTEM.name]
-    return [path for path in (SYSTEM, *own, *user) if path.exists()]
+    return [path for path in (SYSTEM, *rig_files, *user) if path.exists()]
 
 
 def of_rig(rig: str) -> Path:
@@ -35,17 +35,17 @@ def of_rig(rig: str) -> Path:
     return SYSTEM.with_name(f"{rig}.toml")
 
 
-def directory_of(given: str) -> Path:
+def directory_of(directory: str) -> Path:
     """Return the directory that a configuration names; "" is the user's own directory.
 
     Raises ValueError if the path begins with the home of an unknown user.
     """
-    if not given:
+    if not directory:
         return Path(platformdirs.user_data_dir("armrig")) / "recordings"
     try:
-        return Path(given).expanduser().absolute()
+        return Path(directory).expanduser().absolute()
     except RuntimeError as err:
-        raise InputError(f"recording.directory = {given!r}: there is no such user") from err
+        raise InputError(f"recording.directory = {directory!r}: there is no such user") from err
 
 
 def recording_directory(paths: Sequence[Path], environ: Mapping[str, str]) -> Path:
@@ -56,10 +56,10 @@ def recording_directory(paths: Sequence[Path], environ: Mapping[str, str]) -> Pa
 
     Raises ValueError if a file cannot be read, or names no directory.
     """
-    given: Any = ""
+    directory: Any = ""
     for path in paths:
-        given = _named_in(path, given)
-    return directory_of(environ.get(VARIABLE, given))
+        directory = _directory_in(path, directory)
+    return directory_of(environ.get(VARIABLE, directory))
 
 
 def directory_to_look_in(paths: Sequence[Path], environ: Mapping[str, str]) -> Path:
@@ -72,17 +72,17 @@ def directory_to_look_in(paths: Sequence[Path], environ: Mapping[str, str]) -> P
 
     Raises ValueError if a file cannot be read, or names no directory.
     """
-    own = recording_directory(paths, environ)
-    is_unused = own == directory_of("") and not own.exists()
+    directory = recording_directory(paths, environ)
+    is_unused = directory == directory_of("") and not directory.exists()
     if is_unused and os.access(OF_SERVICE, os.R_OK | os.X_OK):
         return OF_SERVICE
-    return own
+    return directory
 
 
-def _named_in(path: Path, otherwise: str) -> str:
+def _directory_in(path: Path, otherwise: str) -> str:
     """Return the directory that a configuration file names; `otherwise` if it names none."""
     table: Any = read_toml(path, CONFIGURATION_LIMIT).get("recording", {})
-    given = table.get("directory", otherwise) if isinstance(table, dict) else None
-    if not isinstance(given, str):
+    directory = table.get("directory", otherwise) if isinstance(table, dict) else None
+    if not isinstance(directory, str):
         raise InputError(f"{path}: [recording] directory must be the path of a directory")
-    return given
+    return directory

@@ -44,7 +44,7 @@ class ChangedError(OSError):
     """Another program has removed the file, or cut it short; the message says what is lost."""
 
 
-class Part:
+class RecordingPart:
     """One open file; its name is NAME.mcap.active until it is complete."""
 
     manifest: Manifest
@@ -258,10 +258,10 @@ class Part:
 
     def _is_at(self, path: Path) -> bool:
         try:
-            found = os.lstat(path)
+            inode = os.lstat(path)
         except (FileNotFoundError, NotADirectoryError):
             return False
-        return os.path.samestat(found, os.fstat(self._file.fileno()))
+        return os.path.samestat(inode, os.fstat(self._file.fileno()))
 
     def discard(self) -> None:
         """Close and remove the file."""
@@ -329,7 +329,7 @@ class _Pending:
         return self._before + self.size
 
     def flush(self) -> None:
-        """Do nothing: `Part` writes the pending bytes."""
+        """Do nothing: `RecordingPart` writes the pending bytes."""
 
     def taken(self) -> bytes:
         """Return all pending bytes; keep them until `written` is called."""

@@ -33,7 +33,7 @@ from armrig_core.recording_file.manifest import (
 from armrig_core.recording_file.opening import lock
 from armrig_core.recording_file.part_names import ACTIVE, COPY
 from armrig_core.recording_file.rewriting import Rewriter, all_records, sync_directory
-from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, held
+from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, open_locked
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.topics import stream_of
 
@@ -88,7 +88,7 @@ class Recovery:
         final = path.with_name(path.name.removesuffix(ACTIVE))
         copy = path.with_name(final.name + COPY)
         try:
-            with held(path, self.owner) as stream:
+            with open_locked(path, self.owner) as stream:
                 if os.path.lexists(final):
                     raise RecoveryError(
                         f"{path}: {final.name} exists already; move one of the two files away"
@@ -96,7 +96,7 @@ class Recovery:
                 # This process holds the lock, so a process that died has left any existing copy.
                 copy.unlink(missing_ok=True)
                 try:
-                    done = self._copied(path, stream, copy)
+                    done = self._copy(path, stream, copy)
                     if sys.platform == "win32":  # Windows cannot rename an open file
                         stream.close()
                     # If the process dies between these calls, `path` or `final` is complete.
@@ -112,27 +112,27 @@ class Recovery:
             raise RecoveryError(msg + "then `armrig recover` it") from err
         return RecoveredFile(final, *done)
 
-    def _copied(
+    def _copy(
         self, path: Path, stream: IO[bytes], copy: Path
     ) -> tuple[Manifest, Outcome, Recovered]:
         """Write the undamaged records to `copy`; complete the copy, and sync it to the disk."""
         size = os.fstat(stream.fileno()).st_size
         source = ByteSource(stream, size)
         if source.read(len(MAGIC)) != MAGIC:
-            what = "not an MCAP file" if size else "0 B"
-            raise RecoveryError(f"{path}: {what}: nothing was recorded; delete it")
+            content = "not an MCAP file" if size else "0 B"
+            raise RecoveryError(f"{path}: {content}: nothing was recorded; delete it")
         with copy.open("xb") as target:
             lock(target)
             rewriter, tally = Rewriter(target, size), _Tally()
-            damage = self._walked(path, source, rewriter, tally)
-            rest = size - source.whole
+            damage = self._copy_records(path, source, rewriter, tally)
+            tail_size = size - source.whole
             # The last 28 B of a complete file begin with the place of the index: records may lie
             # between a damage and the index.
             stream.seek(max(size - 28, 0))
             end = stream.read(28)
             is_torn = not end.endswith(MAGIC) or source.at >= int.from_bytes(end[:8], "little")
-            if damage and (rest > MOST_CUT_OFF or not is_torn):
-                msg = f"{path}: {damage}, and {rest} B follow; the file stays as it is; "
+            if damage and (tail_size > MOST_CUT_OFF or not is_torn):
+                msg = f"{path}: {damage}, and {tail_size} B follow; the file stays as it is; "
                 raise RecoveryError(msg + "`armrig info` reads the undamaged data")
             manifest = _manifest(path, rewriter, self.rig)
             if manifest is None:
@@ -147,7 +147,7 @@ class Recovery:
                 code=OutcomeCode.CUT_OFF,
             )
             if OUTCOME in rewriter.metadata:
-                outcome = _checked(path, Outcome, rewriter.metadata[OUTCOME])
+                outcome = _read_record(path, Outcome, rewriter.metadata[OUTCOME])
                 if tally.samples < outcome.samples:
                     raise RecoveryError(
                         f"{path}: the run was recorded to the end, but only {tally.samples} of its "
@@ -160,11 +160,11 @@ class Recovery:
                 when=self.now(),
                 armrig=self.armrig,
                 kept_bytes=source.whole,
-                cut_off_bytes=rest,
+                cut_off_bytes=tail_size,
                 damage="; ".join([*rewriter.left_out, *([str(damage)] if damage else [])]),
             )
             if RECOVERED in rewriter.metadata:  # an interrupted recovery wrote it
-                recovered = _checked(path, Recovered, rewriter.metadata[RECOVERED])
+                recovered = _read_record(path, Recovered, rewriter.metadata[RECOVERED])
             else:
                 rewriter.add_metadata(RECOVERED, recovered.metadata())
             rewriter.finish()
@@ -172,7 +172,7 @@ class Recovery:
             os.fsync(target.fileno())
         return manifest, outcome, recovered
 
-    def _walked(
+    def _copy_records(
         self, path: Path, source: ByteSource, rewriter: Rewriter, tally: _Tally
     ) -> DamageError | None:
         """Copy the undamaged records; return the damage at which the copy ends, or None."""
@@ -227,7 +227,7 @@ def _manifest(path: Path, rewriter: Rewriter, rig: str) -> Manifest | None:
     """Return the copied manifest; None before it is copied."""
     if RUN not in rewriter.metadata:
         return None
-    manifest = _checked(path, Manifest, rewriter.metadata[RUN])
+    manifest = _read_record(path, Manifest, rewriter.metadata[RUN])
     if rig and manifest.rig != rig:
         raise NotOursError(f"{path}: belongs to rig {manifest.rig}, not to rig {rig}")
     return manifest
@@ -236,7 +236,7 @@ def _manifest(path: Path, rewriter: Rewriter, rig: str) -> Manifest | None:
 _R = TypeVar("_R", Manifest, Outcome, Recovered)
 
 
-def _checked(path: Path, kind: type[_R], metadata: dict[str, str]) -> _R:
+def _read_record(path: Path, kind: type[_R], metadata: dict[str, str]) -> _R:
     try:
         record = kind.of(metadata)
         check_whole_numbers(record)

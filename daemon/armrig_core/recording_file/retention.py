@@ -29,7 +29,7 @@ from armrig_core.recording_file.file_records import MAGIC, UNREADABLE
 from armrig_core.recording_file.manifest import OUTCOME, RUN, Manifest, Outcome
 from armrig_core.recording_file.part_names import ACTIVE, COPY, PART
 from armrig_core.recording_file.rewriting import all_records
-from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, held
+from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, open_locked
 
 DAY_S, GB = 86_400, 10**9
 _READ_ERRORS = (DamageError, RecoveryError, OSError, msgspec.DecodeError, *UNREADABLE)
@@ -44,7 +44,7 @@ class Removal(NamedTuple):
     """File, reason and size, for a person."""
 
 
-class _Run(NamedTuple):
+class _RecordedRun(NamedTuple):
     files: list[Path]
     """Files in the order of the parts."""
     size: int
@@ -86,31 +86,31 @@ class Retention:
 
         `now_s` is the time of day, in s since the epoch.
         """
-        found = self._runs()
-        total = sum(run.size for run in found)
+        runs = self._runs()
+        total = sum(run.size for run in runs)
         until_s = now_s - self.keep_days * DAY_S if self.keep_days else -inf
-        if found and found[-1].ended_s < until_s:
-            if found[1:] and not self._keeps_old:
+        if runs and runs[-1].ended_s < until_s:
+            if runs[1:] and not self._keeps_old:
                 why = f"the newest recording is older than {plural(self.keep_days, 'day')}"
                 yield Removal(
                     False, f"{self.folder}: {why}, so none is removed by its age: check `date`"
                 )
             self._keeps_old, until_s = True, -inf
-        for run in found[:-1]:
+        for run in runs[:-1]:
             if why := self._reason(run, total, until_s):
                 # Subtract the size even if the removal fails, so that no other run is removed.
                 total -= run.size
-                if (done := self._removed(run, why)) is not None:
+                if (done := self._remove(run, why)) is not None:
                     yield done
 
-    def _reason(self, run: _Run, total: int, until_s: float) -> str:
+    def _reason(self, run: _RecordedRun, total: int, until_s: float) -> str:
         if run.ended_s < until_s:
             return f"older than {plural(self.keep_days, 'day')}"
         if self.keep_gb and total > self.keep_gb * GB:
             return f"the recordings of rig {self.rig} take more than {self.keep_gb:g} GB"
         return ""
 
-    def _runs(self) -> list[_Run]:
+    def _runs(self) -> list[_RecordedRun]:
         """Return the finished runs of this rig, the oldest first."""
         files: dict[str, list[tuple[int, Path, os.stat_result]]] = {}
         unfinished = set()
@@ -129,31 +129,31 @@ class Retention:
             return []
         runs = [_run(parts) for name, parts in files.items() if name not in unfinished]
         # The name is not enough: the names of the files of rig 1-b also begin with "1-".
-        own = [run for run in runs if self._rig_of(run) == self.rig]
-        return sorted(own, key=lambda run: (run.ended_s, run.files))
+        rig_runs = [run for run in runs if self._rig_of(run) == self.rig]
+        return sorted(rig_runs, key=lambda run: (run.ended_s, run.files))
 
-    def _rig_of(self, run: _Run) -> str:
-        known = (run.files[0], run.ended_s)
-        if known not in self._rigs:
+    def _rig_of(self, run: _RecordedRun) -> str:
+        key = (run.files[0], run.ended_s)
+        if key not in self._rigs:
             self.breath()
             try:
-                with held(run.files[0], self.owner) as stream:
+                with open_locked(run.files[0], self.owner) as stream:
                     manifests = (data for name, data in self._metadata(stream) if name == RUN)
-                    self._rigs[known] = Manifest.of(next(manifests, {})).rig
+                    self._rigs[key] = Manifest.of(next(manifests, {})).rig
             except NotOursError:  # the file may be free at the next call
                 return ""
             except _READ_ERRORS:
-                self._rigs[known] = ""
-        return self._rigs[known]
+                self._rigs[key] = ""
+        return self._rigs[key]
 
-    def _removed(self, run: _Run, why: str) -> Removal | None:
+    def _remove(self, run: _RecordedRun, why: str) -> Removal | None:
         """Remove a run; return None if a file is in use or a failure was already reported."""
         path = run.files[-1]
         if (path, run.ended_s) in self._reported:
             return None
         try:
             with ExitStack() as stack:  # nobody else may recover or remove one of the files
-                streams = [stack.enter_context(held(file, self.owner)) for file in run.files]
+                streams = [stack.enter_context(open_locked(file, self.owner)) for file in run.files]
                 outcomes = [self._outcome(stream) for stream in streams]
                 if outcomes[-1] == OutcomeCode.CONTINUED:
                     raise DamageError("its last part is missing")
@@ -194,10 +194,10 @@ class Retention:
             self.breath()
 
 
-def _run(parts: list[tuple[int, Path, os.stat_result]]) -> _Run:
+def _run(parts: list[tuple[int, Path, os.stat_result]]) -> _RecordedRun:
     parts.sort(key=lambda part: part[:2])
-    return _Run(
+    return _RecordedRun(
         files=[path for _, path, _ in parts],
-        size=sum(found.st_size for _, _, found in parts),
-        ended_s=max(found.st_mtime for _, _, found in parts),
+        size=sum(inode.st_size for _, _, inode in parts),
+        ended_s=max(inode.st_mtime for _, _, inode in parts),
     )

@@ -24,8 +24,8 @@ from armrig_core.recording_file.chunks import Unpacker
 from armrig_core.recording_file.file_records import (
     MESSAGE_HEAD,
     UNREADABLE,
-    Record,
-    Wanted,
+    FileRecord,
+    RecordSelection,
     check_attachment,
     file_records,
 )
@@ -55,7 +55,7 @@ class Rewriter:
         self._channels: dict[int, int] = {}
         self._chunk_end_ns = 0
 
-    def add(self, record: Record) -> Iterator[tuple[int, bytes]]:
+    def add(self, record: FileRecord) -> Iterator[tuple[int, bytes]]:
         """Write a record of a file; yield channel and payload of each message in it."""
         for opcode, body in self._chunks.parts(record):
             yield from self._add(opcode, body)
@@ -147,9 +147,9 @@ def compact(source: Path, target: Path) -> None:
         os.fsync(written.fileno())
 
 
-def all_records(source: ByteSource) -> Iterator[Record]:
+def all_records(source: ByteSource) -> Iterator[FileRecord]:
     """Yield the records of a file, including attachments of any length."""
-    return file_records(source, Wanted(attachment=source.at + source.left), lambda _: None)
+    return file_records(source, RecordSelection(attachment=source.at + source.left), lambda _: None)
 
 
 def sync_directory(directory: Path) -> None:

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from armrig_core.errors import InputError, InputTypeError
-from armrig_core.process.calls import checked_class
+from armrig_core.process.calls import with_constructor_checks
 
 Matrix = NDArray[np.float64]
 
 
-@checked_class
+@with_constructor_checks
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmParameters:
     """Parameters of the rig; the defaults are the values of the handout (assignment 2.2).

@@ -75,7 +75,7 @@ Conversion = tuple[Potentiometer, Potentiometer, Driver]
 """Conversion of counts to angles and of codes to volts; equal for equal values."""
 
 
-class Figure(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class MeasuredValue(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A measured value."""
 
     value: float
@@ -93,7 +93,7 @@ class Made(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Identity that the calibrated device reports."""
     armrig: str
     """Version of armrig."""
-    figures: dict[str, Figure] = {}
+    figures: dict[str, MeasuredValue] = {}
     """Measured values by name; each name ends in its unit."""
     recordings: dict[str, str] = {}
     """SHA-256 of each recording on which the calibration is based, by the recording's purpose."""

@@ -31,7 +31,7 @@ _RAILS = ("ADC0_RAIL", "ADC1_RAIL")
 _WORDS = (("%", "percent"), ("°", "deg"), ("Ω", "ohm"), ("µ", "u"), ("μ", "u"), ("/", "_per_"))
 
 
-class Channel(NamedTuple):
+class DeviceChannel(NamedTuple):
     """A quantity that the device reads at each sample, with its names in samples and recordings."""
 
     name: str
@@ -132,10 +132,10 @@ NO_CONVERSION = Conversion(0.0, 0.0)
 
 def channel(
     number: int, name: str, unit: str, *, turns: bool = False, rate: str = "", body: str = ""
-) -> Channel:
+) -> DeviceChannel:
     """Return the channel of a rig's output; `number` is the number of the device's reading."""
     valid = f"valid_{name}" if number else "valid"
-    return Channel(name, unit, _RAILS[number], valid, turns, rate, body)
+    return DeviceChannel(name, unit, _RAILS[number], valid, turns, rate, body)
 
 
 def value_field(name: str, unit: str) -> str:
@@ -162,7 +162,7 @@ def tex_symbol(name: str) -> str:
     return ("\\" if symbol(word) != word else "") + word + (f"_{number}" if number else "")
 
 
-def sample_names(channels: Sequence[Channel]) -> tuple[str, ...]:
+def sample_names(channels: Sequence[DeviceChannel]) -> tuple[str, ...]:
     """Return the names of the fields in a sample of a rig with these channels."""
     unused = [f"unused_{number}" for number in range(len(channels), MAX_CHANNELS)]
     values = (*(channel.value_field for channel in channels), *unused)

@@ -18,7 +18,7 @@ from msgspec import Meta
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
 from armrig_core.process.printable import plural, printable
-from armrig_core.process.toml_file import Table, convert, toml_tables
+from armrig_core.process.toml_file import TomlTable, convert, toml_tables
 from armrig_core.rig.calibration import BODY, CALIBRATED, ArmModel
 from armrig_core.rig.channels import (
     COUNTS,
@@ -26,8 +26,8 @@ from armrig_core.rig.channels import (
     MAX_VALUE,
     NO_CONVERSION,
     RAIL_COUNTS,
-    Channel,
     Conversion,
+    DeviceChannel,
     Points,
     Rail,
     channel,
@@ -35,7 +35,7 @@ from armrig_core.rig.channels import (
     sample_names,
 )
 from armrig_core.rig.firmware_image import IMAGES, WITH_ENABLE_LINE
-from armrig_core.rig.saved_model import Matrix, System, saved_system
+from armrig_core.rig.saved_model import Matrix, System, read_system
 from armrig_core.rig.volts import U_MAX_V
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def check_turns(key: str, turns: float) -> None:
         raise InputError(f"{key} = {turns} must be a whole number of hundredths")
 
 
-class RigTable(Table, frozen=True, kw_only=True):
+class RigTable(TomlTable, frozen=True, kw_only=True):
     """`[rig]`: the names of the rig, and its firmware."""
 
     name: str
@@ -107,7 +107,7 @@ class RigTable(Table, frozen=True, kw_only=True):
             raise InputError(f"image = {self.image!r}: allowed are {', '.join(IMAGES)}")
 
 
-class Input(Table, frozen=True, kw_only=True):
+class Input(TomlTable, frozen=True, kw_only=True):
     """`[input]`: the input as people call it; commands and files have it in V."""
 
     name: str = "u"
@@ -152,11 +152,11 @@ class Input(Table, frozen=True, kw_only=True):
     def both(self, low: float, high: float) -> str:
         """Return the values of two voltages in the input's unit, and the voltages, as text."""
         low_, high_ = sorted((self.value(low), self.value(high)))
-        own = f"{self.name} {low_:.4g} to {high_:.4g} {self.unit}"
-        return f"{own}, {low:.4g} to {high:.4g} V at the pin"
+        range_text = f"{self.name} {low_:.4g} to {high_:.4g} {self.unit}"
+        return f"{range_text}, {low:.4g} to {high:.4g} V at the pin"
 
 
-class Output(Table, frozen=True, kw_only=True):
+class Output(TomlTable, frozen=True, kw_only=True):
     """`[outputs.NAME]`: an output of the rig, in the order of the device's channels."""
 
     unit: str
@@ -326,10 +326,10 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     def __post_init__(self) -> None:
         """Refuse no way or two ways of giving the model, and matrices that do not fit."""
-        given = [key for key in ("A", "file", "kind") if getattr(self, key)]
-        if len(given) != 1:
-            came = " and ".join(given) or "none"
-            raise InputError(f"{came} is given: give A, B and C, or file, or kind")
+        ways = [key for key in ("A", "file", "kind") if getattr(self, key)]
+        if len(ways) != 1:
+            names = " and ".join(ways) or "none"
+            raise InputError(f"{names} is given: give A, B and C, or file, or kind")
         if self.A:
             self._check_matrices()
 
@@ -379,16 +379,16 @@ class Description:
 
     def rows(self) -> list[tuple[str, str]]:
         """Return what the description says, as names and texts."""
-        given = self.input
-        volts = f", {given.per_volt:g} {given.unit} per volt" if given.is_scaled else ""
-        volts += f" from {given.offset:g} {given.unit}" if given.offset else ""
-        rest = ""
-        if given.rest_v:
-            own = f"{given.value(given.rest_v):g} {given.unit}"
-            rest = f"; it rests at {given.rest_v:g} V" + (f" ({own})" if given.is_scaled else "")
+        port = self.input
+        volts = f", {port.per_volt:g} {port.unit} per volt" if port.is_scaled else ""
+        volts += f" from {port.offset:g} {port.unit}" if port.offset else ""
+        note = ""
+        if port.rest_v:
+            u0 = f"{port.value(port.rest_v):g} {port.unit}"
+            note = f"; it rests at {port.rest_v:g} V" + (f" ({u0})" if port.is_scaled else "")
         rows = [
             ("described", self.title),
-            ("input", f"{given.name}{volts}, 0 to {given.u_max_v:g} V{rest}"),
+            ("input", f"{port.name}{volts}, 0 to {port.u_max_v:g} V{note}"),
         ]
         if self.rig.image != IMAGES[0]:
             rows.append(("image", self.rig.image))
@@ -424,7 +424,7 @@ class Description:
         return self.arm == BODY
 
     @property
-    def channels(self) -> tuple[Channel, ...]:
+    def channels(self) -> tuple[DeviceChannel, ...]:
         """Channels of the outputs, in the order of the device's readings."""
         return tuple(
             channel(number, name, o.unit, turns=o.turning, rate=o.rate, body=o.body)
@@ -465,18 +465,18 @@ class Description:
             ) from err
         unknown = next((key for key in tables if key not in _TABLES), "")
         if unknown or not tables.keys() >= {"rig", "outputs"}:
-            came = (
+            fault = (
                 f"[{printable(unknown)}]: no such table"
                 if unknown
                 else "[rig] or [outputs] is missing"
             )
-            raise InputError(f"{came}; allowed are {', '.join(f'[{key}]' for key in _TABLES)}")
+            raise InputError(f"{fault}; allowed are {', '.join(f'[{key}]' for key in _TABLES)}")
         outputs = {
             name: _table(f"outputs.{name}", table, Output)
-            for name, table in _checked(tables["outputs"]).items()
+            for name, table in _output_tables(tables["outputs"]).items()
         }
-        given = tables.get("model")
-        model = None if given is None else _table("model", given, Model)
+        model_table = tables.get("model")
+        model = None if model_table is None else _table("model", model_table, Model)
         described = cls(
             rig=_table("rig", tables["rig"], RigTable),
             input=_table("input", tables.get("input", {}), Input),
@@ -529,9 +529,9 @@ class Description:
             if not self.model.file:  # the file may say what the rig reads at rest
                 self.check_rest(self.model.offset or [0.0] * len(self.outputs))
 
-    def check_rest(self, rest: Sequence[float]) -> None:
+    def check_rest(self, rest_y: Sequence[float]) -> None:
         """Refuse values at rest that the sensors do not read, or that break a limit."""
-        for (name, output), y in zip(self.outputs.items(), rest, strict=True):
+        for (name, output), y in zip(self.outputs.items(), rest_y, strict=True):
             where = f"outputs.{name}: the rig reads {y:g} {output.unit} at rest"
             if not output.low <= y <= output.high:
                 raise InputError(
@@ -556,20 +556,20 @@ class Description:
 
 
 @cache
-def shipped(name: str) -> Description:
+def builtin(name: str) -> Description:
     """Return a description that comes with armrig, by a name of `armrig rigs`."""
     return read_description(_SHIPPED / f"{name}.toml")
 
 
-def shipped_files() -> list[Path]:
+def builtin_files() -> list[Path]:
     """Return the files of the descriptions that come with armrig."""
     return sorted(_SHIPPED.glob("*.toml"))
 
 
 def path_of(file: Path) -> Path:
     """Return the file of a description; a name without suffix may be that of a shipped one."""
-    found = _SHIPPED / f"{file}.toml"
-    return found if len(file.parts) == 1 and found.is_file() and not file.is_file() else file
+    path = _SHIPPED / f"{file}.toml"
+    return path if len(file.parts) == 1 and path.is_file() and not file.is_file() else file
 
 
 def require_model(description: Description, cpu_s: int = 0) -> tuple[Model, System]:
@@ -586,11 +586,11 @@ def require_model(description: Description, cpu_s: int = 0) -> tuple[Model, Syst
         rest_v = description.input.rest_v
         process = EquationsProcess(description.equations, [*description.outputs], cpu_s, rest_v)
         offset = model.offset or [0.0] * len(process.rest)
-        rest = [a + b for a, b in zip(offset, process.rest, strict=True)]
-        description.check_rest(rest)
+        rest_y = [a + b for a, b in zip(offset, process.rest, strict=True)]
+        description.check_rest(rest_y)
         A, B, C = process.matrices
         delay_s = model.delay_s + process.delay_s
-        model = msgspec.structs.replace(model, offset=rest, delay_s=delay_s)
+        model = msgspec.structs.replace(model, offset=rest_y, delay_s=delay_s)
         return model, System(A, B, C, None, process=process)
     if model is None or system is None:
         raise InputError(
@@ -615,9 +615,9 @@ def read_description(path: Path) -> Description:
             except (SyntaxError, ValueError) as err:
                 raise InputError(f"model.file = '{file}': no Python: {err}") from err
             return replace(described, equations=file)
-        given = described.input
-        system = saved_system(
-            file, tuple(described.outputs), (given.name, given.unit), given.value, given.rest_v
+        port = described.input
+        system = read_system(
+            file, tuple(described.outputs), (port.name, port.unit), port.value, port.rest_v
         )
         if not described.model.unstable:
             _check_stable("model.file", system.A, discrete=system.Ts is not None)
@@ -634,7 +634,7 @@ def read_description(path: Path) -> Description:
         raise FileError(f"{path}: {err}") from err
 
 
-def _checked(outputs: object) -> dict[str, object]:
+def _output_tables(outputs: object) -> dict[str, object]:
     """Return the tables of the outputs; refuse too many outputs, and names that cannot be used."""
     if not isinstance(outputs, dict) or not 1 <= len(outputs) <= MAX_CHANNELS:
         raise InputError(f"[outputs.NAME]: 1 to {MAX_CHANNELS} tables are allowed, one each output")
@@ -678,7 +678,7 @@ def _check_stable(key: str, A: Matrix, *, discrete: bool = False) -> None:
     size = np.abs(poles) - 1 if discrete else poles.real
     if not size.max() <= _ROUNDING:  # NaN fails this, too
         pole = poles[np.argmax(size)]
-        what = f"of modulus {abs(pole):.4g}" if discrete else f"with real part {pole.real:.3g} 1/s"
+        place = f"of modulus {abs(pole):.4g}" if discrete else f"with real part {pole.real:.3g} 1/s"
         raise InputError(
-            f"{key} has a pole {what}: the rig is unstable; correct {key}, or set unstable = true"
+            f"{key} has a pole {place}: the rig is unstable; correct {key}, or set unstable = true"
         )

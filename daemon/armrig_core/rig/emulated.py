@@ -21,6 +21,6 @@ def is_emulated(*, uid: str, port: str) -> bool:
     return uid == f"{EMULATOR_UID:016x}" or port == VIRTUAL_PORT or port.startswith(SOCKET_PREFIX)
 
 
-def held_up(ns: int) -> str:
+def stall_sentence(ns: int) -> str:
     """Return the sentence that reports that the emulator was stalled for `ns` ns."""
     return f"emulator held up {round(ns / 1e6)} ms by this machine; its device's clock stood still"

@@ -128,14 +128,14 @@ class Ode:
                     f"parameter {name!r}: the equations read p.NAME, so a name has "
                     "letters, digits and _ and begins with a letter"
                 )
-        own = {
+        parameters = {
             k: v if isinstance(v, Parameter) else Parameter(float(v))
             for k, v in self.parameters.items()
         }
         for name, value in (
             ("states", tuple(self.states)),
-            ("parameters", own),
-            ("point", namedtuple("p", own)),
+            ("parameters", parameters),
+            ("point", namedtuple("p", parameters)),
         ):
             object.__setattr__(self, name, value)  # the fields of a frozen dataclass
 
@@ -197,7 +197,7 @@ class Ode:
             )
         point = {**self.values, **(values or {})}
         m = steps or steps_and_error(self, course, start[:, None], point, share=_SIMULATED)[0]
-        y = integrated(self, course, start[:, None, None], point, m).y
+        y = integrate_ode(self, course, start[:, None, None], point, m).y
         return np.asarray(y[:, :, 0, 0])
 
     def delayed(self, u: Matrix, Ts: float) -> Matrix:
@@ -211,8 +211,8 @@ class Ode:
         >>> late.delayed(np.array([[0.0], [1.0], [2.0], [2.0]]), 0.2).round(3).ravel()
         array([0. , 0. , 0.5, 1.5])
         """
-        whole, share = divmod(self.delay / Ts, 1.0)
-        index = np.arange(len(u)) - int(whole)
+        samples, share = divmod(self.delay / Ts, 1.0)
+        index = np.arange(len(u)) - int(samples)
         now, before = u[np.maximum(index, 0)], u[np.maximum(index - 1, 0)]
         return np.asarray((1 - share) * now + share * before)
 
@@ -305,7 +305,7 @@ class Trajectories:
     """States after the last interval, (n, points, S)."""
 
 
-def integrated(
+def integrate_ode(
     ode: Ode, course: Course, x: NDArray[np.float64], point: Mapping[str, Any], steps: int
 ) -> Trajectories:
     """Return the trajectories from the states x (n, points, S).
@@ -319,10 +319,10 @@ def integrated(
     h, linear = course.Ts / steps, any(course.linear)
     slope = np.zeros_like(course.u[0])
     recorded = []
-    derivative = checked_derivative(ode, shape)
+    derivative = derivative_function(ode, shape)
     for k in range(L + 1):
         u, t = course.u[k][:, None, :], course.t[k]
-        recorded.append(checked_outputs(ode, t, x, u, p, shape))
+        recorded.append(evaluate_outputs(ode, t, x, u, p, shape))
         if k == L:
             break
         if linear:
@@ -357,7 +357,7 @@ def steps_and_error(
     """
     steps, before = least, None
     while True:
-        y = integrated(ode, course, x[:, None, :], point, steps).y
+        y = integrate_ode(ode, course, x[:, None, :], point, steps).y
         if before is not None and np.all(np.isfinite(before)):
             change = np.max(np.abs(y - before), axis=(0, 2, 3))
             size = np.std(y, axis=(0, 2, 3)) + 1e-12 * np.max(np.abs(y), axis=(0, 2, 3)) + 1e-300
@@ -389,22 +389,22 @@ def _where_not_finite(ode: Ode, y: Any, course: Course, point: Mapping[str, floa
     )
 
 
-def checked_derivative(ode: Ode, shape: tuple[int, ...]) -> Any:
+def derivative_function(ode: Ode, shape: tuple[int, ...]) -> Any:
     """Return f as a function to an array (n, points, S), with sentences for its errors."""
     n, f = len(ode.states), ode.f
 
     def derivative(t: Any, x: Any, u: Any, p: Any) -> Any:
         x.flags.writeable = False
         try:
-            found = f(t, x, u, p)
-            if len(found) != n:
+            rates = f(t, x, u, p)
+            if len(rates) != n:
                 raise InputError(
-                    f"f returns {plural(len(found), 'value')}; the model has {plural(n, 'state')}: "
+                    f"f returns {plural(len(rates), 'value')}; the model has {plural(n, 'state')}: "
                     f"{', '.join(ode.states)}"
                 )
             out = np.empty((n, *shape))
             for i in range(n):
-                out[i] = found[i]
+                out[i] = rates[i]
         except InputError:
             raise
         except (Exception, SystemExit) as err:
@@ -414,12 +414,12 @@ def checked_derivative(ode: Ode, shape: tuple[int, ...]) -> Any:
     return derivative
 
 
-def checked_outputs(ode: Ode, t: Any, x: Any, u: Any, p: Any, shape: tuple[int, ...]) -> Any:
+def evaluate_outputs(ode: Ode, t: Any, x: Any, u: Any, p: Any, shape: tuple[int, ...]) -> Any:
     """Return the outputs (ny, points, S), with sentences for errors of `output`."""
     try:
-        found = ode.output(t, x, u, p)
-        several = isinstance(found, list | tuple) or np.ndim(found) > len(shape)
-        rows = found if several else [found]
+        outputs = ode.output(t, x, u, p)
+        several = isinstance(outputs, list | tuple) or np.ndim(outputs) > len(shape)
+        rows = outputs if several else [outputs]
         out = np.empty((len(rows), *shape))
         for i, row in enumerate(rows):
             if np.ndim(row) > len(shape):

@@ -30,7 +30,13 @@ from numpy.typing import NDArray
 from armrig_core.errors import InputError, OperationError
 from armrig_core.process.printable import plural, printable
 from armrig_core.process.realtime import end_with_parent, leave_fifo
-from armrig_core.rig.equations import Course, Ode, checked_derivative, checked_outputs, integrated
+from armrig_core.rig.equations import (
+    Course,
+    Ode,
+    derivative_function,
+    evaluate_outputs,
+    integrate_ode,
+)
 
 # Largest times to answer, in the emulator and, with a limit of the processor time, in a rehearsal.
 _START_S, _ANSWER_S, _GUEST_S = 3.0, 2.0, 60.0
@@ -47,7 +53,7 @@ def load_equations(path: Path) -> Ode:
     try:
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: no regular file")
-        found = runpy.run_path(str(path)).get("model")
+        model = runpy.run_path(str(path)).get("model")
     except InputError:
         raise
     except BaseException as err:  # a file may also raise SystemExit
@@ -57,9 +63,9 @@ def load_equations(path: Path) -> Ode:
             raise InputError(f"{path}: {err.strerror}") from err
         where = f", line {line}" if line else ""
         raise InputError(f"{path}{where}: {type(err).__name__}: {err}") from err
-    if not isinstance(found, Ode):
+    if not isinstance(model, Ode):
         raise InputError(f"{path} defines no `model`; write model = armrig.Ode(f=…, …)")
-    return found
+    return model
 
 
 class EquationsProcess:
@@ -162,20 +168,20 @@ class _Motion:
     def linear(self) -> list[Any]:
         """Return A, B, C of small motions about states 0 and rest, outputs, and dead time."""
         n, ode, h = len(self.ode.states), self.ode, 1e-6
-        derivative, p = checked_derivative(ode, (1, 1)), ode.point(**ode.values)
+        derivative, p = derivative_function(ode, (1, 1)), ode.point(**ode.values)
 
         def at(z: NDArray[np.float64]) -> NDArray[np.float64]:
             t, x = np.zeros((1, 1)), z[:n, None, None].copy()
             u = self.rest_v + z[n:, None, None]
-            y = checked_outputs(ode, t, x, u, p, (1, 1))
+            y = evaluate_outputs(ode, t, x, u, p, (1, 1))
             return np.concatenate([derivative(t, x, u, p), y])[:, 0, 0]
 
         with np.errstate(all="ignore"):
             slopes = [(at(step) - at(-step)) / (2 * h) for step in h * np.eye(n + 1)]
-            M, rest = np.nan_to_num(slopes).T, at(np.zeros(n + 1))[n:]
-        _check_finite(rest)
+            M, rest_y = np.nan_to_num(slopes).T, at(np.zeros(n + 1))[n:]
+        _check_finite(rest_y)
         matrices = [M[:n, :n].tolist(), M[:n, n:].tolist(), M[n:, :n].tolist()]
-        return [*matrices, rest.tolist(), ode.delay]
+        return [*matrices, rest_y.tolist(), ode.delay]
 
     def held(self, u: float, dt: float) -> list[float]:
         """Hold an input for a time; return the outputs at its end."""
@@ -184,15 +190,15 @@ class _Motion:
         steps = max(1, int(np.ceil(dt / self.step_s)))
         try:
             with np.errstate(all="ignore"):
-                found = integrated(self.ode, course, self.x, self.ode.values, steps)
+                fine = integrate_ode(self.ode, course, self.x, self.ode.values, steps)
                 while steps <= _MAX_STEPS:
-                    coarse = found
-                    found = integrated(self.ode, course, self.x, self.ode.values, 2 * steps)
-                    size = np.abs(found.end) + np.abs(self.x) + _TOLERANCE
-                    if np.all(np.abs(found.end - coarse.end) <= _TOLERANCE * size):
-                        y = found.y[1, :, 0, 0]
+                    coarse = fine
+                    fine = integrate_ode(self.ode, course, self.x, self.ode.values, 2 * steps)
+                    size = np.abs(fine.end) + np.abs(self.x) + _TOLERANCE
+                    if np.all(np.abs(fine.end - coarse.end) <= _TOLERANCE * size):
+                        y = fine.y[1, :, 0, 0]
                         _check_finite(y)
-                        self.x, self.t = found.end, self.t + dt
+                        self.x, self.t = fine.end, self.t + dt
                         # Longer at first in the next interval; a short one says nothing.
                         self.step_s = 2 * dt / steps if steps > 1 else max(self.step_s, dt)
                         return [float(value) for value in y]

@@ -42,7 +42,7 @@ class FirmwareImage:
         return crc32(self.data)
 
 
-def shipped_image(name: str = "uno") -> Path:
+def image_path(name: str = "uno") -> Path:
     """Return the path of an image of `IMAGES`, in the wheel or in the checkout.
 
     Raises InputError if armrig has no image of this name.
@@ -59,7 +59,7 @@ def shipped_image(name: str = "uno") -> Path:
 @cache
 def image_crcs() -> dict[str, int]:
     """Return the CRC of each image in HELLO_R, by the image's name."""
-    return {name: read_image(shipped_image(name)).crc for name in IMAGES}
+    return {name: read_image(image_path(name)).crc for name in IMAGES}
 
 
 def read_image(path: Path) -> FirmwareImage:
@@ -86,7 +86,7 @@ def _flash(lines: list[str]) -> bytes:
         elif kind in (_SEGMENT, _LINEAR) and len(data) == 2:
             base = int.from_bytes(data, "big") << (4 if kind == _SEGMENT else 16)
         elif kind == _END:
-            return _joined(memory)
+            return _flash_bytes(memory)
         elif kind not in _START_KINDS:
             raise InputError(f"line {number} has the unknown type {kind}")
     raise InputError("it has no end; the file may be cut off")
@@ -105,7 +105,7 @@ def _record(line: str, number: int) -> tuple[int, int, bytes]:
     return text[3], int.from_bytes(text[1:3], "big"), text[4:-1]
 
 
-def _joined(memory: dict[int, bytes]) -> bytes:
+def _flash_bytes(memory: dict[int, bytes]) -> bytes:
     if 0 not in memory:
         raise InputError("it has no data at address 0, where the processor begins")
     end = max(address + len(data) for address, data in memory.items())

@@ -42,7 +42,7 @@ class System(NamedTuple):
     """Outputs at rest, if they follow from the model; otherwise empty."""
 
 
-class _Matrices(msgspec.Struct, tag_field="kind", tag="matrices"):
+class _SavedMatrices(msgspec.Struct, tag_field="kind", tag="matrices"):
     """State-space model of one sampling time."""
 
     A: Matrix
@@ -52,7 +52,7 @@ class _Matrices(msgspec.Struct, tag_field="kind", tag="matrices"):
     nk: list[int]
 
 
-class _Polynomials(msgspec.Struct, tag_field="kind", tag="polynomials"):
+class _SavedPolynomials(msgspec.Struct, tag_field="kind", tag="polynomials"):
     """Polynomials in q^-1, a row for each output."""
 
     A: _Rows
@@ -60,7 +60,7 @@ class _Polynomials(msgspec.Struct, tag_field="kind", tag="polynomials"):
     F: _Rows
 
 
-class _TransferFunction(msgspec.Struct, tag_field="kind", tag="transfer function"):
+class _SavedTransferFunction(msgspec.Struct, tag_field="kind", tag="transfer function"):
     """Polynomials in s, highest power first."""
 
     B: _Rows
@@ -79,21 +79,22 @@ class _Saved(msgspec.Struct):
     outputs: list[str]
     input_units: list[str]
     Ts: float
-    form: _Matrices | _Polynomials | _TransferFunction
+    form: _SavedMatrices | _SavedPolynomials | _SavedTransferFunction
     inputs: tuple[str, ...] = ("u",)
     free: list[_Free] = []
 
 
-def saved_system(
+def read_system(
     path: Path,
     outputs: Sequence[str],
     input: tuple[str, str] = ("u", "V"),
-    own: Callable[[float], float] = lambda u: u,
+    to_unit: Callable[[float], float] = lambda u: u,
     rest_v: float = 0.0,
 ) -> System:
     """Return the model in a file for a rig with these outputs.
 
-    `input` is the name and the unit of the rig's input, and `own` returns its value at a voltage of
+    `input` is the name and the unit of the rig's input, and `to_unit` returns its value at a
+    voltage of
     the pin. A model of this input is converted; a model of another input has the voltage itself.
 
     Raises
@@ -102,7 +103,7 @@ def saved_system(
         The file contains no model, or a model that has other signals or a direct term.
     """
     try:
-        return _system(read_text(path, _MAX_BYTES), tuple(outputs), input, own, rest_v)
+        return _system(read_text(path, _MAX_BYTES), tuple(outputs), input, to_unit, rest_v)
     except OSError as err:
         raise FileError(f"model.file = '{path}': {err.strerror}") from err
     except FileError as err:
@@ -115,7 +116,7 @@ def _system(
     text: str,
     outputs: tuple[str, ...],
     input: tuple[str, str],
-    own: Callable[[float], float],
+    to_unit: Callable[[float], float],
     rest_v: float,
 ) -> System:
     """Return the model in the text of a file; raise ValueError or IndexError if it is damaged."""
@@ -132,12 +133,12 @@ def _system(
     if Ts is not None and not _MIN_TS_S <= Ts < inf:
         raise FileError(f"Ts = {Ts:g} s: at least {_MIN_TS_S:g} s is allowed")
     form, delay_s = saved.form, 0.0
-    if isinstance(form, _Matrices):
+    if isinstance(form, _SavedMatrices):
         if form.nk[0] > 1:
             raise FileError(f"nk = {form.nk[0]}: identify with nk=1, and give model.delay_s")
         A, B, C, direct = form.A, form.B, form.C, any(x for row in form.D for x in row)
         _check_states(len(A))
-    elif isinstance(form, _TransferFunction):
+    elif isinstance(form, _SavedTransferFunction):
         delay_s, F, b = form.delay, form.F[0][0], form.B[0][0]
         A, B, C, direct = _companions([(F, [0.0] * (len(F) - len(b)) + b)])
     else:
@@ -149,25 +150,25 @@ def _system(
     finite = all(isfinite(x) for M, *_ in shapes for row in M for x in row)
     if not (fits and finite and 0 <= delay_s <= _MAX_DELAY_S):
         raise InputError("its fields do not match each other")
-    came = saved.inputs[0], saved.input_units[0]
-    if came != input and came[1] not in ("", "V"):
+    pair = saved.inputs[0], saved.input_units[0]
+    if pair != input and pair[1] not in ("", "V"):
         raise FileError(
-            f"a model of the input {came[0]} [{came[1]}]; the rig's is {input[0]} [{input[1]}], or "
+            f"a model of the input {pair[0]} [{pair[1]}]; the rig's is {input[0]} [{input[1]}], or "
             "V at the pin"
         )
     scale, at_rest = 1.0, rest_v
-    if came == input:
-        scale, at_rest = own(1.0) - own(0.0), own(rest_v)
-    rest: list[float] = []
+    if pair == input:
+        scale, at_rest = to_unit(1.0) - to_unit(0.0), to_unit(rest_v)
+    rest_y: list[float] = []
     u = at_rest - (saved.free[0].offset if saved.free else 0.0)
     if u:
         import numpy as np
 
         M = -np.array(A) if Ts is None else np.eye(len(A)) - np.array(A)
         if np.linalg.cond(M) < _MAX_CONDITION:
-            rest = (np.array(C) @ np.linalg.solve(M, np.array(B)[:, 0] * u)).tolist()
+            rest_y = (np.array(C) @ np.linalg.solve(M, np.array(B)[:, 0] * u)).tolist()
     B = [[scale * b] for (b,) in B]
-    return System(A, B, C, Ts, delay_s, rest=rest)
+    return System(A, B, C, Ts, delay_s, rest=rest_y)
 
 
 def _check_states(n: int) -> None:
@@ -175,7 +176,7 @@ def _check_states(n: int) -> None:
         raise FileError(f"the model has {plural(n, 'state')}; 1 to {_MAX_STATES} are allowed")
 
 
-def _quotient(form: _Polynomials, i: int) -> tuple[list[float], list[float]]:
+def _quotient(form: _SavedPolynomials, i: int) -> tuple[list[float], list[float]]:
     """Return the denominator and the numerator of an output, with as many coefficients."""
     import numpy as np  # here, because a description without a saved model is read without numpy
 

@@ -42,7 +42,7 @@ def duty(code: int, pwm_bits: int) -> int:
     return ((code << (pwm_bits + 1)) + CODE_FULL_SCALE) // (2 * CODE_FULL_SCALE)
 
 
-def applied_code(code: int, pwm_bits: int) -> int:
+def device_code(code: int, pwm_bits: int) -> int:
     """Return the code that a device with this duty resolution latches for `code`; ties round up."""
     steps = duty(code, pwm_bits)
     return (2 * steps * CODE_FULL_SCALE + (1 << pwm_bits)) >> (pwm_bits + 1)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from armrig_core.rig.channels import tex_symbol
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from armrig_core.telemetry.telemetry import sample_fields
 
-CHANNELS = shipped("arm").channels
+CHANNELS = builtin("arm").channels
 """Channels of the arm, in addition to u."""
 RATES = {channel.name: channel.rate for channel in CHANNELS if channel.rate}
 """Rates that have a name, by output."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
-from armrig_core.rig.channels import Channel
+from armrig_core.rig.channels import DeviceChannel
 from armrig_core.telemetry.channels import CHANNELS, SAMPLE_FIELDS
 from armrig_core.telemetry.telemetry import PACKAGE, sample_fields
 
@@ -122,7 +122,7 @@ LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}
 """Number of each level of a `foxglove.Log`."""
 
 
-def _armrig_file(channels: tuple[Channel, ...]) -> descriptor_pb2.FileDescriptorProto:
+def _armrig_file(channels: tuple[DeviceChannel, ...]) -> descriptor_pb2.FileDescriptorProto:
     messages = _MESSAGES | {"Sample": sample_fields(channels)}
     return _file("armrig/v1/armrig.proto", messages)
 
@@ -180,7 +180,7 @@ def _log_file() -> descriptor_pb2.FileDescriptorProto:
 
 
 def _files(
-    name: str, channels: tuple[Channel, ...] = CHANNELS
+    name: str, channels: tuple[DeviceChannel, ...] = CHANNELS
 ) -> list[descriptor_pb2.FileDescriptorProto]:
     if name == CONTROL:  # a file of its own, so that the schemas of other messages do not change
         return [_file("armrig/v1/control.proto", {"Control": _CONTROL_FIELDS})]
@@ -192,7 +192,7 @@ def _files(
 
 
 @cache
-def descriptor_set(name: str, channels: tuple[Channel, ...] = CHANNELS) -> bytes:
+def descriptor_set(name: str, channels: tuple[DeviceChannel, ...] = CHANNELS) -> bytes:
     """Return the serialised FileDescriptorSet of the message with the full name `name`.
 
     `channels` are the channels of the rig, which name fields of a sample.
@@ -209,7 +209,7 @@ def message_class(name: str) -> Any:
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
 
 
-def decoded(name: str, data: bytes) -> Any:
+def decode_message(name: str, data: bytes) -> Any:
     """Decode `data` as a message with the full name `name`; missing numbers are `ABSENT`.
 
     Raises google.protobuf.message.DecodeError if `data` is not a protobuf message.

@@ -16,7 +16,7 @@ from operator import itemgetter
 from struct import Struct
 from typing import NamedTuple
 
-from armrig_core.rig.channels import Channel, sample_names
+from armrig_core.rig.channels import DeviceChannel, sample_names
 
 PACKAGE = "armrig.v1"
 
@@ -28,7 +28,7 @@ _KINDS = (
 """Protobuf type of each field of `armrig.v1.Sample`, numbered from 1."""
 
 
-def sample_fields(channels: Sequence[Channel]) -> tuple[tuple[str, str], ...]:
+def sample_fields(channels: Sequence[DeviceChannel]) -> tuple[tuple[str, str], ...]:
     """Return name and protobuf type of each field of the sample of a rig with these channels."""
     return tuple(zip(sample_names(channels), _KINDS, strict=True))
 
@@ -72,7 +72,7 @@ class Sample(NamedTuple):
 
 
 @cache
-def named_sample(names: tuple[str, ...]) -> type[Sample]:
+def sample_class(names: tuple[str, ...]) -> type[Sample]:
     """Return `Sample` with the names of a rig for its fields, in addition to those by number.
 
     A field keeps its name by number if Python does not allow the rig's name.
@@ -91,8 +91,8 @@ def named_sample(names: tuple[str, ...]) -> type[Sample]:
 
 
 def _repr(sample: Sample) -> str:
-    shown = (f"{name}={value!r}" for name, value in sample._asdict().items())
-    return f"Sample({', '.join(shown)})"
+    fields = (f"{name}={value!r}" for name, value in sample._asdict().items())
+    return f"Sample({', '.join(fields)})"
 
 
 def encode_sample(sample: Sample) -> bytes:

@@ -40,7 +40,7 @@ def check_own_id(rig: str) -> str:
     return rig
 
 
-def played_id(rig: str) -> str:
+def playback_id(rig: str) -> str:
     """Return the id under which a recording of `rig` is played again, such as played-1."""
     return rig if rig.startswith(PLAYED) else f"{PLAYED}{rig}"[:_MAX_LENGTH]
 
@@ -88,5 +88,5 @@ def topic(rig: str, stream: str) -> str:
 
 def stream_of(topic: str) -> str:
     """Return the stream of a topic such as /rig/1/sample; "" for another program's topic."""
-    found = re.fullmatch(r"/rig/[a-z0-9-]{1,40}/([a-z]{1,20})", topic)
-    return found[1] if found and found[1] in RECORDED else ""
+    match = re.fullmatch(r"/rig/[a-z0-9-]{1,40}/([a-z]{1,20})", topic)
+    return match[1] if match and match[1] in RECORDED else ""

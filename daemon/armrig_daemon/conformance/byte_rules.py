@@ -8,14 +8,14 @@ from armrig_protocol import cobs, frame
 from armrig_protocol import messages as wire
 from armrig_protocol.messages import TYPES
 
-from armrig_daemon.conformance.host import Broken, Host
+from armrig_daemon.conformance.host import Broken, LineHost
 from armrig_daemon.conformance.rule import expect, rule
 
 _STATUS_MS = 3_000
 UNKNOWN_TYPE = 0x7E
 
 
-def framed(text: bytes, *, wrong: int = 0) -> bytes:
+def frame_bytes(text: bytes, *, wrong: int = 0) -> bytes:
     """Return a frame with the contents `text`; each bit set in `wrong` is inverted in the CRC."""
     return cobs.stuff(text + (crc32(text) ^ wrong).to_bytes(4, "little")) + b"\0"
 
@@ -25,17 +25,17 @@ def header(number: int, seq: int) -> bytes:
     return bytes((number, 0)) + (seq & 0xFFFF).to_bytes(2, "little")
 
 
-def spoilt_frames(host: Host) -> list[bytes]:
+def bad_frames(host: LineHost) -> list[bytes]:
     """Return frames that a device must drop: wrong CRCs, wrong lengths, wrong stuffing."""
     keepalive = header(TYPES[wire.Keepalive], host.seq + 1)
     sound = frame.encode(wire.Ping(0, (host.seq + 1) & 0xFFFF, 7))
     return [
         *(
-            framed(header(TYPES[wire.Ping], host.seq + 1) + bytes(8), wrong=1 << bit)
+            frame_bytes(header(TYPES[wire.Ping], host.seq + 1) + bytes(8), wrong=1 << bit)
             for bit in (0, 11, 22, 31)
         ),
-        framed(keepalive + b"\1"),
-        framed(header(TYPES[wire.Ping], host.seq + 1) + bytes(7)),
+        frame_bytes(keepalive + b"\1"),
+        frame_bytes(header(TYPES[wire.Ping], host.seq + 1) + bytes(7)),
         b"\x7f" + sound[1:],
     ]
 
@@ -43,65 +43,65 @@ def spoilt_frames(host: Host) -> list[bytes]:
 @rule(
     1, "A frame with a wrong CRC, a wrong length or wrong stuffing is dropped, and never answered"
 )
-def _spoilt(host: Host) -> None:
-    for data in spoilt_frames(host):
+def _drop_bad_frames(host: LineHost) -> None:
+    for data in bad_frames(host):
         host.write(data)
-        came = host.fence()
-        expect(not came, came)
+        answers = host.fence()
+        expect(not answers, answers)
 
 
 @rule(1, "Each type has one length: HELLO without its last byte is dropped")
-def _stale_hello_length(host: Host) -> None:
-    host.write(framed(header(TYPES[wire.Hello], host.seq + 1) + bytes(5)))
-    came = host.fence()
-    expect(not came, came)
+def _stale_hello_length(host: LineHost) -> None:
+    host.write(frame_bytes(header(TYPES[wire.Hello], host.seq + 1) + bytes(5)))
+    answers = host.fence()
+    expect(not answers, answers)
 
 
 @rule(1, "A piece longer than any frame is dropped; the next frame is accepted")
-def _too_long(host: Host) -> None:
+def _too_long(host: LineHost) -> None:
     host.write(bytes(range(1, 256)) + b"\0")
-    came = host.fence()
-    expect(not came, came)
+    answers = host.fence()
+    expect(not answers, answers)
 
 
 @rule(1, "A frame may arrive in any pieces")
-def _cut(host: Host) -> None:
+def _cut(host: LineHost) -> None:
     host.seq = (host.seq + 1) & 0xFFFF
-    came: list[wire.Message] = []
+    messages: list[wire.Message] = []
     for byte in frame.encode(wire.Ping(0, host.seq, 2**63)):
         host.write(bytes((byte,)))
-        came += host.listen(1)
-    came += host.fence()
-    answered = [m for m in came if isinstance(m, wire.Pong) and m.host_ns == 2**63]
-    expect(len(answered) == len(came) == 1, came)
+        messages += host.listen(1)
+    messages += host.fence()
+    answered = [m for m in messages if isinstance(m, wire.Pong) and m.host_ns == 2**63]
+    expect(len(answered) == len(messages) == 1, messages)
 
 
 @rule(1, "A lost 00 costs two frames, but not the third")
-def _lost_end(host: Host) -> None:
+def _missing_delimiter(host: LineHost) -> None:
     first = frame.encode(wire.Ping(0, (host.seq + 1) & 0xFFFF, 1))
     second = frame.encode(wire.Ping(0, (host.seq + 2) & 0xFFFF, 2))
     host.write(first[:-1] + second)
-    came = host.fence()
-    expect(not came, came)
+    answers = host.fence()
+    expect(not answers, answers)
 
 
 @rule(1, "Empty frames are ignored, and not counted", silent=True)
-def _empty(host: Host) -> None:
+def _empty(host: LineHost) -> None:
     before = next_status(host)
     host.write(bytes(40))
-    came = host.fence()
-    expect(not came, came)
+    answers = host.fence()
+    expect(not answers, answers)
     more = next_status(host).spoilt - before.spoilt
     expect(more == 0, f"{more} counted as spoilt")
 
 
 @rule(1, "STATUS counts received, spoilt and refused frames", silent=True)
-def _counted(host: Host) -> None:
+def _status_counters(host: LineHost) -> None:
     before = next_status(host)
-    spoilt = spoilt_frames(host)
+    spoilt = bad_frames(host)
     for data in spoilt:
         host.write(data)
-    host.write(framed(header(UNKNOWN_TYPE, host.seq + 1)))
+    host.write(frame_bytes(header(UNKNOWN_TYPE, host.seq + 1)))
     host.fence()
     after = next_status(host)
     frames, refused = after.frames - before.frames, after.refused - before.refused
@@ -109,7 +109,7 @@ def _counted(host: Host) -> None:
     expect(grew == (2, len(spoilt), 1), f"frames, spoilt, refused grew by {grew}")
 
 
-def next_status(host: Host) -> wire.Status:
+def next_status(host: LineHost) -> wire.Status:
     """Return the next STATUS, which the device sends once a second; the host stays silent."""
     host.status = None
     for _ in range(_STATUS_MS // 20):

@@ -13,18 +13,18 @@ from armrig_protocol.messages import (
     State,
 )
 
-from armrig_daemon.conformance.host import CONFIG, Host
+from armrig_daemon.conformance.host import CONFIG, LineHost
 from armrig_daemon.conformance.rule import NotTried, expect, rule
 
 
-def ts_min_us(host: Host, m: int) -> int:
+def ts_min_us(host: LineHost, m: int) -> int:
     """Return the shortest Ts with oversampling m, in µs."""
     return host.known.ts_min_us + 2 * (m - 1) * host.known.skew_us
 
 
 @rule(4, "CONFIG_R contains the accepted values, and their CRC-32")
-def _accepted(host: Host) -> None:
-    given = {
+def _reply_contents(host: LineHost) -> None:
+    config = {
         **CONFIG,
         "ts_us": 123_456,
         "u_min": 1_000,
@@ -36,10 +36,10 @@ def _accepted(host: Host) -> None:
         "rail_ticks": 300,
         "turns": 555,
     }
-    reply = host.configure(**given)
-    accepted = {name: getattr(reply, name) for name in given}
-    expect(reply.code == Code.OK and accepted == given, f"{accepted}")
-    crc = config_crc(wire.Config(0, 0, **given))
+    reply = host.configure(**config)
+    accepted = {name: getattr(reply, name) for name in config}
+    expect(reply.code == Code.OK and accepted == config, f"{accepted}")
+    crc = config_crc(wire.Config(0, 0, **config))
     expect(reply.config_crc == crc, f"config_crc {reply.config_crc:08x}, not {crc:08x}")
 
 
@@ -47,7 +47,7 @@ def _accepted(host: Host) -> None:
     4,
     "A CONFIG with a wrong value is answered BAD_VALUE, and the last valid CONFIG stays in force",
 )
-def _refused(host: Host) -> None:
+def _bad_values(host: LineHost) -> None:
     shortest = host.known.ts_min_us
     in_force = host.configure(u_max=12_345)
     bad: tuple[dict[str, int], ...] = (
@@ -71,7 +71,7 @@ def _refused(host: Host) -> None:
 
 
 @rule(4, "The least and largest `ts_us` and `watchdog_ms` are accepted, and also u_min = u_max")
-def _limits(host: Host) -> None:
+def _limits(host: LineHost) -> None:
     good: tuple[dict[str, int], ...] = (
         {"ts_us": host.known.ts_min_us},
         {"watchdog_ms": WATCHDOG_MIN_MS},
@@ -85,14 +85,14 @@ def _limits(host: Host) -> None:
 
 
 @rule(4, "u_rest other than 0 needs an enable line; otherwise the answer is BAD_VALUE")
-def _rest(host: Host) -> None:
+def _rest(host: LineHost) -> None:
     reply = host.configure(u_rest=100)
     has_line = host.known.capabilities & Capability.ENABLE_LINE
     expect(reply.code == (Code.OK if has_line else Code.BAD_VALUE), [reply])
 
 
 @rule(4, "Each accepted CONFIG has a new nonce, not 0, even if its values are the same")
-def _nonce(host: Host) -> None:
+def _nonce(host: LineHost) -> None:
     seen: set[int] = set()
     for _ in range(5):
         for _ in range(2):
@@ -106,7 +106,7 @@ def _nonce(host: Host) -> None:
 
 
 @rule(4, "Oversampling m needs Ts >= `ts_min_us` + 2 (m - 1) `skew_us`; or it is UNSUPPORTED")
-def _unsupported(host: Host) -> None:
+def _oversampling_limit(host: LineHost) -> None:
     none = host.configure(oversampling=2, ts_us=100_000).code
     for m in (2, 3, 8):
         least = ts_min_us(host, m)
@@ -122,7 +122,7 @@ def _unsupported(host: Host) -> None:
 
 
 @rule(4, "Scheduled mode is accepted if it is offered; otherwise the answer is UNSUPPORTED")
-def _mode(host: Host) -> None:
+def _mode(host: LineHost) -> None:
     reply = host.configure(mode=Mode.SCHEDULED)
     offered = host.known.capabilities & Capability.SCHEDULED
     expect(reply.code == (Code.OK if offered else Code.UNSUPPORTED), [reply])

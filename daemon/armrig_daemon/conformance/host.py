@@ -50,7 +50,7 @@ class EndlessError(Exception):
     """The device sends more data or takes longer than the suite's limits allow."""
 
 
-class Host:
+class LineHost:
     """A host at one end of a line."""
 
     def __init__(self, line: Line, baud: int = 500_000) -> None:
@@ -110,8 +110,8 @@ class Host:
         values.
         """
         if kind is wire.Arm:
-            known = {"boot_id": self.known.boot_id, "config_crc": self.config_crc}
-            fields = {**known, "nonce": self.nonce, **fields}
+            defaults = {"boot_id": self.known.boot_id, "config_crc": self.config_crc}
+            fields = {**defaults, "nonce": self.nonce, **fields}
         if kind is wire.Start:
             fields = {"k_stop": 0, "nonce": self.nonce, **fields}
         self.seq = (self.seq + 1) & 0xFFFF if seq is None else seq
@@ -135,34 +135,34 @@ class Host:
         return self._taken()
 
     def until(
-        self, found: Callable[[wire.Message], bool], what: str, within_ms: float = PATIENCE_MS
+        self, matches: Callable[[wire.Message], bool], expected: str, within_ms: float = PATIENCE_MS
     ) -> list[wire.Message]:
-        """Return the messages, except STATUS, up to the first message for which `found` is true.
+        """Return the messages, except STATUS, up to the first message for which `matches` is true.
 
-        Raises Broken if `found` is false for every message that arrives in time.
+        Raises Broken if `matches` is false for every message that arrives in time.
         """
         end_ns = self.line.now_ns() + round(within_ms * 1e6)
         looked = 0
         while True:
             for at in range(looked, len(self._heard)):
-                if found(self._heard[at]):
-                    came, self._heard = self._heard[: at + 1], self._heard[at + 1 :]
-                    return came
+                if matches(self._heard[at]):
+                    messages, self._heard = self._heard[: at + 1], self._heard[at + 1 :]
+                    return messages
             looked = len(self._heard)
             left_ms = (end_ns - self.line.now_ns()) / 1e6
             if left_ms <= 0:
                 names = ", ".join(type(m).__name__ for m in self._taken()[-5:])
-                raise Broken(f"no {what}; received: {names or 'nothing'}")
+                raise Broken(f"no {expected}; received: {names or 'nothing'}")
             self._read(left_ms)
 
     def fence(self) -> list[wire.Message]:
         """Send a PING and return the messages before its PONG."""
         self._pings += 1
         self.put(wire.Ping, host_ns=self._pings)
-        came = self.until(
+        messages = self.until(
             lambda m: isinstance(m, wire.Pong) and m.host_ns == self._pings, "PONG of a PING"
         )
-        return came[:-1]
+        return messages[:-1]
 
     def ask(
         self, kind: type[wire.Message], *, seq: int | None = None, **fields: Any
@@ -172,8 +172,8 @@ class Host:
         return self.fence()
 
     def _taken(self) -> list[wire.Message]:
-        came, self._heard = self._heard, []
-        return came
+        messages, self._heard = self._heard, []
+        return messages
 
     def _read(self, within_ms: float) -> None:
         end_ns, most = self._limits
@@ -259,10 +259,10 @@ class Host:
 
     def sample(self, u: int = 0, *, k: int | None = None) -> wire.Sample:
         """Return the SAMPLE of an EXCHANGE."""
-        came = self.exchange(u, k=k)
-        if not isinstance(came, wire.Sample):
-            raise Broken(f"{type(came).__name__} as answer to EXCHANGE")
-        return came
+        answer = self.exchange(u, k=k)
+        if not isinstance(answer, wire.Sample):
+            raise Broken(f"{type(answer).__name__} as answer to EXCHANGE")
+        return answer
 
     def to_idle(self) -> None:
         """Go to IDLE from any state."""
@@ -302,23 +302,23 @@ class Host:
     ) -> list[wire.Message]:
         """Send KEEPALIVEs for `ms`, or until a message matches; return the messages."""
         end_ns = self.line.now_ns() + round(ms * 1e6)
-        came: list[wire.Message] = []
+        messages: list[wire.Message] = []
         while self.line.now_ns() < end_ns:
             self.put(wire.Keepalive)
-            came += self.listen(ALIVE_MS)
-            if until is not None and any(map(until, came)):
+            messages += self.listen(ALIVE_MS)
+            if until is not None and any(map(until, messages)):
                 break
-        return came
+        return messages
 
 
-def only(kind: type[M], came: list[wire.Message]) -> M:
+def only(kind: type[M], messages: list[wire.Message]) -> M:
     """Return the only message of this kind.
 
     Raises Broken if there is no message of this kind, or more than one message.
     """
-    found = [m for m in came if isinstance(m, kind)]
-    if len(found) != 1:
+    matches = [m for m in messages if isinstance(m, kind)]
+    if len(matches) != 1:
         raise Broken(
-            f"{len(found)} {kind.__name__} among {plural(len(came), 'frame')} instead of one"
+            f"{len(matches)} {kind.__name__} among {plural(len(messages), 'frame')} instead of one"
         )
-    return found[0]
+    return matches[0]

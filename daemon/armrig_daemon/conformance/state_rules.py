@@ -8,7 +8,7 @@ from typing import Any
 from armrig_protocol import messages as wire
 from armrig_protocol.messages import Capability, Cause, Code, Flag, Mode, State
 
-from armrig_daemon.conformance.host import CONFIG, Host, only
+from armrig_daemon.conformance.host import CONFIG, LineHost, only
 from armrig_daemon.conformance.rule import Rule, codes, expect, kinds, rule
 
 STATES = (State.IDLE, State.READY, State.ARMED, State.RUN, State.FAULT, State.ESTOP)
@@ -22,7 +22,7 @@ _NEEDED_CAPABILITY = {wire.Setpoints: Capability.SCHEDULED, wire.Cal: Capability
 
 
 @rule(3, "CONFIG leads to READY, ARM to ARMED, START to RUN: the answer first, then the EVENT")
-def _way(host: Host) -> None:
+def _way(host: LineHost) -> None:
     steps: tuple[tuple[type[wire.Message], type[wire.Message], State], ...] = (
         (wire.Config, wire.ConfigReply, State.READY),
         (wire.Arm, wire.Ack, State.ARMED),
@@ -31,35 +31,35 @@ def _way(host: Host) -> None:
     )
     was = State.IDLE
     for kind, answer, state in steps:
-        came = host.ask(kind, **(CONFIG if kind is wire.Config else {}))
-        expect(kinds(came) == [answer, wire.Event], came)
-        event = only(wire.Event, came)
+        messages = host.ask(kind, **(CONFIG if kind is wire.Config else {}))
+        expect(kinds(messages) == [answer, wire.Event], messages)
+        event = only(wire.Event, messages)
         reported = (event.was, event.state, event.cause)
-        expect(reported == (was, state, Cause.REQUEST), came)
-        expect(all(m.state == state for m in came) and host.state == state, came)
-        expect(came[0].code == Code.OK, came)  # type: ignore[union-attr]
+        expect(reported == (was, state, Cause.REQUEST), messages)
+        expect(all(m.state == state for m in messages) and host.state == state, messages)
+        expect(messages[0].code == Code.OK, messages)  # type: ignore[union-attr]
         was = state
 
 
 @rule(3, "STOP leads from READY, ARMED and RUN to IDLE, which has no configuration")
-def _stop(host: Host) -> None:
+def _stop(host: LineHost) -> None:
     for state in (State.READY, State.ARMED, State.RUN):
         host.enter(state)
-        came = host.ask(wire.Stop)
-        expect(codes(came) == [Code.OK] and host.state == State.IDLE, came)
+        answers = host.ask(wire.Stop)
+        expect(codes(answers) == [Code.OK] and host.state == State.IDLE, answers)
         left = host.configure(ts_us=0)
         expect((left.config_crc, left.nonce, left.ts_us) == (0, 0, 0), [left])
-    came = host.ask(wire.Stop)
-    expect(codes(came) == [Code.OK] and len(came) == 1, came)
+    answers = host.ask(wire.Stop)
+    expect(codes(answers) == [Code.OK] and len(answers) == 1, answers)
 
 
 @rule(3, "HELLO, EXCHANGE, PING and KEEPALIVE are accepted in any state but BOOT")
-def _everywhere(host: Host) -> None:
+def _everywhere(host: LineHost) -> None:
     for state in STATES:
         host.enter(state)
         host.hello()
-        came = host.ask(wire.Keepalive)
-        expect(not [m for m in came if not isinstance(m, wire.HelloReply)], came)
+        answers = host.ask(wire.Keepalive)
+        expect(not [m for m in answers if not isinstance(m, wire.HelloReply)], answers)
         taken = host.exchange(0)
         expect(isinstance(taken, wire.Sample) and taken.state == state, [taken])
         expect(host.pong is not None and host.pong.state == state, [host.pong])
@@ -70,15 +70,15 @@ def _refuses(state: State, *refused: type[wire.Message]) -> Rule:
     names = (sub(r"(?<=[a-z])([A-Z])", r"_\1", kind.__name__).upper() for kind in refused)
 
     @rule(3, f"In {state.name}, these requests are answered WRONG_STATE: {', '.join(names)}")
-    def check(host: Host) -> None:
+    def check(host: LineHost) -> None:
         host.reach(state)
         for kind in refused:
-            came = host.ask(kind, **_FIELDS.get(kind, {}))
+            messages = host.ask(kind, **_FIELDS.get(kind, {}))
             needed = _NEEDED_CAPABILITY.get(kind)
             offered = needed is None or host.known.capabilities & needed
             code = Code.WRONG_STATE if offered else Code.UNSUPPORTED
-            answers = [m.code for m in came if isinstance(m, wire.Ack | wire.ConfigReply)]
-            expect(answers == [code] and len(came) == 1, came)
+            answers = [m.code for m in messages if isinstance(m, wire.Ack | wire.ConfigReply)]
+            expect(answers == [code] and len(messages) == 1, messages)
             expect(host.state == state, f"state {host.state} after {kind.__name__}")
 
     return check
@@ -98,7 +98,7 @@ _in_estop = _refuses(State.ESTOP, *_LATCHED)
 @rule(
     3, "In every state but RUN, the code is 0, whatever EXCHANGE contains; the flags show the state"
 )
-def _zero_volts(host: Host) -> None:
+def _zero_volts(host: LineHost) -> None:
     of_state = {
         State.ARMED: Flag.ARMED,
         State.RUN: Flag.ARMED | Flag.RUN,
@@ -120,7 +120,7 @@ def _zero_volts(host: Host) -> None:
 
 
 @rule(3, "RUN begins with u_rest latched; u_rest other than 0 needs an enable line")
-def _rest(host: Host) -> None:
+def _rest(host: LineHost) -> None:
     u_rest = 20_000 if host.known.capabilities & Capability.ENABLE_LINE else 0
     host.reach(State.RUN, u_rest=u_rest)
     sample = host.sample(u_rest)
@@ -128,7 +128,7 @@ def _rest(host: Host) -> None:
 
 
 @rule(3, "The time in an EVENT is between the times of the PONGs before and after it")
-def _event_time(host: Host) -> None:
+def _event_time(host: LineHost) -> None:
     host.fence()
     before = host.rx_us
     event = only(wire.Event, host.ask(wire.Estop))
@@ -138,7 +138,7 @@ def _event_time(host: Host) -> None:
 
 
 @rule(3, "PONG returns host_ns, and its two times are in order")
-def _pong(host: Host) -> None:
+def _pong(host: LineHost) -> None:
     pong, last = None, host.rx_us
     for _ in range(20):
         host.fence()
@@ -150,15 +150,15 @@ def _pong(host: Host) -> None:
 
 
 @rule(3, "SETPOINTS in ARMED of exchange mode is answered WRONG_STATE")
-def _setpoints_mode(host: Host) -> None:
+def _setpoints_mode(host: LineHost) -> None:
     host.reach(State.ARMED, mode=Mode.EXCHANGE)
-    came = host.ask(wire.Setpoints, **_FIELDS[wire.Setpoints])
+    answers = host.ask(wire.Setpoints, **_FIELDS[wire.Setpoints])
     offered = host.known.capabilities & Capability.SCHEDULED
-    expect(codes(came) == [Code.WRONG_STATE if offered else Code.UNSUPPORTED], came)
+    expect(codes(answers) == [Code.WRONG_STATE if offered else Code.UNSUPPORTED], answers)
 
 
 @rule(3, "ARM with a wrong boot_id, config_crc or nonce is answered WRONG_BOOT, _CONFIG or _NONCE")
-def _arm(host: Host) -> None:
+def _arm(host: LineHost) -> None:
     host.reach(State.READY)
     boot_id, crc, nonce = host.known.boot_id, host.config_crc, host.nonce
     for fields, code in (
@@ -168,37 +168,37 @@ def _arm(host: Host) -> None:
         ({"nonce": nonce ^ 1}, Code.WRONG_NONCE),
         ({"nonce": 0}, Code.WRONG_NONCE),
     ):
-        came = host.ask(wire.Arm, **fields)
-        expect(codes(came) == [code] and len(came) == 1, came)
+        answers = host.ask(wire.Arm, **fields)
+        expect(codes(answers) == [code] and len(answers) == 1, answers)
         expect(host.state == State.READY, f"state {host.state} after a wrong ARM")
 
 
 @rule(3, "START needs the nonce of the configuration, and k_stop = 0 in exchange mode")
-def _start(host: Host) -> None:
+def _start(host: LineHost) -> None:
     host.reach(State.ARMED)
     for fields, code in (
         ({"nonce": host.nonce ^ 1}, Code.WRONG_NONCE),
         ({"k_stop": 10}, Code.BAD_VALUE),
     ):
-        came = host.ask(wire.Start, **fields)
-        expect(codes(came) == [code] and host.state == State.ARMED, came)
+        answers = host.ask(wire.Start, **fields)
+        expect(codes(answers) == [code] and host.state == State.ARMED, answers)
 
 
 @rule(3, "The bytes of an earlier ARM do not arm again: each CONFIG has its own nonce")
-def _old_arming(host: Host) -> None:
+def _old_arming(host: LineHost) -> None:
     host.reach(State.ARMED)
     old = host.nonce
     host.ask(wire.Stop)
     host.configure()
-    came = host.ask(wire.Arm, nonce=old)
-    expect(codes(came) == [Code.WRONG_NONCE] and host.state == State.READY, came)
+    answers = host.ask(wire.Arm, nonce=old)
+    expect(codes(answers) == [Code.WRONG_NONCE] and host.state == State.READY, answers)
     host.ask(wire.Arm)
-    came = host.ask(wire.Start, nonce=old)
-    expect(codes(came) == [Code.WRONG_NONCE] and host.state == State.ARMED, came)
+    answers = host.ask(wire.Start, nonce=old)
+    expect(codes(answers) == [Code.WRONG_NONCE] and host.state == State.ARMED, answers)
 
 
 @rule(3, "ESTOP leads from any state to ESTOP, with a token other than 0 in EVENT and HELLO_R")
-def _estop(host: Host) -> None:
+def _estop(host: LineHost) -> None:
     for state in STATES[:-1]:
         host.enter(state)
         before = host.hello().token
@@ -211,21 +211,21 @@ def _estop(host: Host) -> None:
 
 
 @rule(3, "ESTOP in ESTOP is answered OK, and changes nothing")
-def _estop_again(host: Host) -> None:
+def _estop_again(host: LineHost) -> None:
     token = only(wire.Event, host.ask(wire.Estop)).token
-    came = host.ask(wire.Estop)
-    expect(codes(came) == [Code.OK] and len(came) == 1, came)
+    answers = host.ask(wire.Estop)
+    expect(codes(answers) == [Code.OK] and len(answers) == 1, answers)
     expect(host.hello().token == token, "another token")
 
 
 @rule(3, "Only CLEAR_FAULT with the right token leads from FAULT and ESTOP to IDLE")
-def _clear(host: Host) -> None:
+def _clear(host: LineHost) -> None:
     for state in (State.FAULT, State.ESTOP):
         host.enter(state)
         token = host.hello().token
         for wrong in (0, token ^ 1, token ^ 0x8000_0000):
-            came = host.ask(wire.ClearFault, token=wrong)
-            expect(codes(came) == [Code.WRONG_TOKEN] and host.state == state, came)
-        came = host.ask(wire.ClearFault, token=token)
-        expect(codes(came) == [Code.OK] and host.state == State.IDLE, came)
+            answers = host.ask(wire.ClearFault, token=wrong)
+            expect(codes(answers) == [Code.WRONG_TOKEN] and host.state == state, answers)
+        answers = host.ask(wire.ClearFault, token=token)
+        expect(codes(answers) == [Code.OK] and host.state == State.IDLE, answers)
         expect(host.hello().token == 0, f"token {host.known.token} in IDLE")

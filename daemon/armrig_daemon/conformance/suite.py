@@ -28,7 +28,7 @@ from armrig_daemon.conformance import (
     sequence_rules,
     state_rules,
 )
-from armrig_daemon.conformance.host import BOOT_MS, Broken, EndlessError, Host
+from armrig_daemon.conformance.host import BOOT_MS, Broken, EndlessError, LineHost
 from armrig_daemon.conformance.rule import NotTried, Result, Rule, expect, rule
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Violated, Violation
 
@@ -42,7 +42,7 @@ _INDENT = " " * 14
 
 
 @rule(3, "HELLO_R identifies the device: version, schema, full scale, and possible values")
-def _hello(host: Host) -> None:
+def _hello(host: LineHost) -> None:
     it = host.known
     expect(
         (it.version, it.schema) == (VERSION, SCHEMA_HASH), f"version {it.version}, {it.schema:x}"
@@ -60,7 +60,7 @@ def _hello(host: Host) -> None:
 
 
 @rule(1, "The device's frames are valid, and seq increases by 1 from frame to frame")
-def _sender(host: Host) -> None:
+def _sender(host: LineHost) -> None:
     expect(host.spoilt == 0, f"{host.spoilt} of the device's frames were spoilt")
     expect(host.breaks == 0, f"{host.breaks} breaks in the device's seq")
 
@@ -84,7 +84,7 @@ RULES: tuple[Rule, ...] = (
 
 
 def run(
-    host: Host, report: Callable[[Result], None], wanted: Sequence[Rule] = RULES
+    host: LineHost, report: Callable[[Result], None], wanted: Sequence[Rule] = RULES
 ) -> list[Result]:
     """Test each rule and return the results; at the end the device is at 0 V in every case.
 
@@ -106,14 +106,14 @@ def run(
 
     try:
         host.hello(BOOT_MS)
-        for one in left:
+        for pending in left:
             try:
-                add(_tried(host, one))
+                add(_test_rule(host, pending))
             except EndlessError as err:
-                add(Result(one.section, one.sentence, FAIL, str(err)))
+                add(Result(pending.section, pending.sentence, FAIL, str(err)))
                 break
-        for one in left:
-            add(Result(one.section, one.sentence, NOT_TRIED, "the suite had ended before"))
+        for pending in left:
+            add(Result(pending.section, pending.sentence, NOT_TRIED, "the suite had ended before"))
     except EndlessError as err:
         raise Broken(str(err)) from err
     finally:
@@ -122,28 +122,28 @@ def run(
     return results
 
 
-def _tried(host: Host, one: Rule) -> Result:
+def _test_rule(host: LineHost, tested_rule: Rule) -> Result:
     """Test a rule; if the test failed and the host stalled during the test, repeat the test."""
-    came, outcome = "", FAIL
+    behaviour, outcome = "", FAIL
     for _ in range(_MAX_TRIES):
         try:
             host.to_idle()
             host.silence_ms = 0.0
-            one.check(host)
+            tested_rule.check(host)
         except Broken as err:
-            came = str(err)
+            behaviour = str(err)
             host.note_silence()
-            if one.silent or host.silence_ms > _STALL_MS:
+            if tested_rule.silent or host.silence_ms > _STALL_MS:
                 continue
         except NotTried as err:
-            outcome, came = NOT_TRIED, str(err)
+            outcome, behaviour = NOT_TRIED, str(err)
         else:
-            outcome, came = PASS, ""
+            outcome, behaviour = PASS, ""
         break
-    return Result(one.section, one.sentence, outcome, came)
+    return Result(tested_rule.section, tested_rule.sentence, outcome, behaviour)
 
 
-def leave(host: Host) -> None:
+def leave(host: LineHost) -> None:
     """Leave the device at 0 V: send STOP, and ESTOP if STOP is not confirmed."""
     for kind in (wire.Stop, wire.Estop):
         with suppress(
@@ -195,12 +195,12 @@ def pin_rules(violations: Sequence[Violated]) -> tuple[Rule, ...]:
 
     def pins(section: int, sentence: str, *kinds: Violation) -> Rule:
         @rule(section, f"At the pins: {sentence}")
-        def check(host: Host) -> None:
+        def check(host: LineHost) -> None:
             host.fence()
             seen = [v for v in violations if v.what in kinds]
             ms = seen[0].cycle / CYCLES_PER_US / 1000 if seen else 0.0
-            came = f"{len(seen)} times, first {ms:.2f} ms after power-on"
-            expect(not seen, f"{seen[0].what.sentence}: {came}" if seen else "")
+            occurrences = f"{len(seen)} times, first {ms:.2f} ms after power-on"
+            expect(not seen, f"{seen[0].what.sentence}: {occurrences}" if seen else "")
 
         return check
 

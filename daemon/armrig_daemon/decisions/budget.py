@@ -17,7 +17,7 @@ PING_INTERVAL_US = 25_000
 _SPARE_FACTOR = 1.1  # room for EVENT and for repeated frames
 
 
-def exchange_us(baud: int, conversion_us: float = CONVERSION_US, oversampling: int = 1) -> int:
+def min_exchange_us(baud: int, conversion_us: float = CONVERSION_US, oversampling: int = 1) -> int:
     """Return the shortest sampling time of exchange mode, in µs.
 
     In each tick, three phases follow one after the other: the request, `oversampling` conversions
@@ -27,7 +27,7 @@ def exchange_us(baud: int, conversion_us: float = CONVERSION_US, oversampling: i
     return ceil(length * BITS_PER_BYTE / baud * 1e6 + 2 * oversampling * conversion_us)
 
 
-def scheduled_us(baud: int, conversion_us: float = CONVERSION_US, oversampling: int = 1) -> int:
+def min_scheduled_us(baud: int, conversion_us: float = CONVERSION_US, oversampling: int = 1) -> int:
     """Return the shortest sampling time of scheduled mode, in µs.
 
     The two directions of the line are independent. In each sampling time, a sample is sent to the
@@ -50,7 +50,7 @@ def check(
     oversampling: int = 1,
 ) -> None:
     """Raise ValueError if `ts_us` is too short; the message names the shortest sampling time."""
-    least = (scheduled_us if scheduled else exchange_us)(baud, conversion_us, oversampling)
+    least = (min_scheduled_us if scheduled else min_exchange_us)(baud, conversion_us, oversampling)
     if ts_us < least:
         mode = "scheduled" if scheduled else "exchange"
         averaged, fewer = "", ""

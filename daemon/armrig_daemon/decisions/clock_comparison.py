@@ -10,17 +10,17 @@ from msgspec.structs import replace
 
 from armrig_daemon.decisions import clockmap
 from armrig_daemon.decisions.budget import BITS_PER_BYTE, PING_INTERVAL_US
-from armrig_daemon.decisions.state import Clock, Sent, State
+from armrig_daemon.decisions.state import ClockComparison, DecisionState, Sent
 
 
-def by_pong(state: State, now_ns: int, pong: Pong) -> State:
+def by_pong(state: DecisionState, now_ns: int, pong: Pong) -> DecisionState:
     """Return the state after a PONG, which contains two time stamps of the device."""
     ways = (Ping, Pong)
     clock, stamps = state.clock, (pong.host_ns, pong.rx_us, pong.tx_us, now_ns)
-    return state if clock is None else _compared(state, clock, ways, *stamps)
+    return state if clock is None else _compare(state, clock, ways, *stamps)
 
 
-def by_sample(state: State, now_ns: int, sent: Sent, m: DeviceSample) -> State:
+def by_sample(state: DecisionState, now_ns: int, sent: Sent, m: DeviceSample) -> DecisionState:
     """Return the state after a SAMPLE that answers an EXCHANGE.
 
     The device triggers the first conversion of channel 1 when the request arrives. With
@@ -33,10 +33,10 @@ def by_sample(state: State, now_ns: int, sent: Sent, m: DeviceSample) -> State:
     before_us = (2 * _oversampling(state, sent, m) - 1) * device.skew_us
     rx_us, tx_us = (m.t_us - before_us) & 0xFFFFFFFF, (m.t_us + device.skew_us) & 0xFFFFFFFF
     ways = (Exchange, DeviceSample)
-    return _compared(state, clock, ways, sent.sent_ns, rx_us, tx_us, now_ns)
+    return _compare(state, clock, ways, sent.sent_ns, rx_us, tx_us, now_ns)
 
 
-def _oversampling(state: State, sent: Sent, m: DeviceSample) -> int:
+def _oversampling(state: DecisionState, sent: Sent, m: DeviceSample) -> int:
     """Return the number of conversions in a reading of a channel; 1 if the number is not known."""
     # Too small a number makes the round trip long, so that it gets little weight. Too large a
     # number makes it shorter than all others, so that it dominates the estimate.
@@ -46,15 +46,15 @@ def _oversampling(state: State, sent: Sent, m: DeviceSample) -> int:
     return state.rules.oversampling
 
 
-def _compared(
-    state: State,
-    clock: Clock,
+def _compare(
+    state: DecisionState,
+    clock: ClockComparison,
     ways: tuple[type[Message], type[Message]],
     h1_ns: int,
     rx_us: int,
     tx_us: int,
     h4_ns: int,
-) -> State:
+) -> DecisionState:
     request_ns, answer_ns = (
         wire_length(way) * BITS_PER_BYTE * 1_000_000_000 // state.rules.baud for way in ways
     )
@@ -62,4 +62,4 @@ def _compared(
     tx = clockmap.extend(rx, tx_us)
     # Each pair of frames has its own time on the wire, which is subtracted here.
     compared = clockmap.update(clock.map, h1_ns + request_ns, rx, tx, h4_ns - answer_ns)
-    return replace(state, clock=Clock(clock.boot_id, h4_ns, tx, compared))
+    return replace(state, clock=ClockComparison(clock.boot_id, h4_ns, tx, compared))

@@ -11,7 +11,7 @@ A waiting time is never negative, so its mean is not 0 and does not average out.
 treated as unknown but equal in all exchanges, with the variance 1/12 of a uniform distribution.
 Short round trips get the largest weights.
 
-No exchange shows the constant part of qf - qb. Half of this part, at most `Estimate.bound_ns`, is
+No exchange shows the constant part of qf - qb. Half of this part, at most `ClockFit.bound_ns`, is
 an error of the offset, which the standard deviation of the offset does not include. The drift is
 not affected.
 
@@ -44,7 +44,7 @@ _LAG_GAIN = 4.0  # the lag is a mean over a quarter of the regression's memory
 _MAX_FADING = 10.0  # time constants; with more, 1/weight would overflow
 
 
-class Link(NamedTuple):
+class LinkTiming(NamedTuple):
     """Known properties of the line to the device."""
 
     request_ns: int = 0
@@ -66,7 +66,7 @@ class ClockMap(NamedTuple):
     cancellation in a long run.
     """
 
-    link: Link = Link()
+    link: LinkTiming = LinkTiming()
     host_ns: int = 0
     """Origin of the host's time in y, in ns: h1 of the last exchange."""
     device_us: int = 0
@@ -99,7 +99,7 @@ class ClockMap(NamedTuple):
     """Number of restarts of the map after too many rejected exchanges."""
 
 
-class Estimate(NamedTuple):
+class ClockFit(NamedTuple):
     """Offset and drift between the two clocks, at the last exchange."""
 
     offset_ns: int
@@ -115,7 +115,7 @@ class Estimate(NamedTuple):
     """
 
 
-def start(link: Link) -> ClockMap:
+def start(link: LinkTiming) -> ClockMap:
     """Return the map before the first exchange."""
     return ClockMap(link)
 
@@ -161,7 +161,7 @@ def update(clock: ClockMap, h1_ns: int, rx_us: int, tx_us: int, h4_ns: int) -> C
     w = 1 / (v * (1 + excess * excess / near))
     d = 0.5 * (tx_us - rx_us)
     y = 0.5 * (h4_ns - h1_ns - link.answer_ns + link.request_ns) - 1000 * d
-    moved = _moved(clock, h1_ns, rx_us)
+    moved = _move_origin(clock, h1_ns, rx_us)
     if clock.weight == 0:
         return _add(_blank(moved), d, y, r, w, 0.0)
     innovation = y - moved.y - _slope(moved) * (d - moved.d)
@@ -214,7 +214,7 @@ def _require_exchange(clock: ClockMap) -> None:
         raise InputError("the map knows no exchange yet; PING the device first")
 
 
-def estimate(clock: ClockMap) -> Estimate:
+def estimate(clock: ClockMap) -> ClockFit:
     """Return offset and drift at the last exchange, with their standard deviations.
 
     Raises
@@ -229,7 +229,7 @@ def estimate(clock: ClockMap) -> Estimate:
     # If the drift changes at a rate a, y lags by a s² and the drift by 2 a s. s² is the variance
     # of d (exponential memory; within 15 % for a short, uniform memory).
     variance += 4 * clock.lag**2 * clock.weight / (clock.dd + _DRIFT_PRIOR)
-    return Estimate(
+    return ClockFit(
         host_ns - 1000 * clock.device_us,
         std_ns,
         1000 * _slope(clock),
@@ -261,7 +261,7 @@ def _variance(clock: ClockMap, d: float, fading: float) -> float:
     return averaged + _C_VARIANCE * (common + step) + (clock.lag * ahead * ahead) ** 2
 
 
-def _fading(link: Link, past_ns: int) -> float:
+def _fading(link: LinkTiming, past_ns: int) -> float:
     """Return the share of an exchange's original weight that is left after `past_ns`."""
     return math.exp(-min(max(0.0, past_ns / link.tau_ns), _MAX_FADING))
 
@@ -287,7 +287,7 @@ def _window(clock: ClockMap, r: int) -> ClockMap:
     )
 
 
-def _moved(clock: ClockMap, host_ns: int, device_us: int) -> ClockMap:
+def _move_origin(clock: ClockMap, host_ns: int, device_us: int) -> ClockMap:
     """Move the origin of y and d to another instant, and fade the weights up to this instant."""
     d_us, h_ns = device_us - clock.device_us, host_ns - clock.host_ns
     fading = _fading(clock.link, h_ns)

@@ -14,12 +14,12 @@ from msgspec.structs import replace
 from armrig_daemon import pipe
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.outcomes import Halt, Outcome, Step, Trip
-from armrig_daemon.decisions.state import ActiveRun, Control, Emit, Phase, State
+from armrig_daemon.decisions.state import ActiveRun, DecisionState, Emit, Phase, RunLaw
 
 _COMPARED = {monitor.Gate.INNOVATION: "prediction", monitor.Gate.SIMULATION: "simulation"}
 
 
-def observe(state: State, sample: Sample) -> Step:
+def observe(state: DecisionState, sample: Sample) -> Step:
     """Advance the law of the run by a sample, and by the missing samples before it.
 
     A sample whose code the law has not decided changes nothing: a sample before the run, or one at
@@ -40,7 +40,7 @@ def observe(state: State, sample: Sample) -> Step:
 
 
 def _consequences(
-    control: Control, after: evaluation.LawState, values: tuple[float, float]
+    control: RunLaw, after: evaluation.LawState, values: tuple[float, float]
 ) -> list[Outcome]:
     """Return the end of the run if a bound of the law is exceeded; otherwise []."""
     law = control.law
@@ -53,7 +53,11 @@ def _consequences(
         )
         value = values[law.channels[alarm.output]]
         return [Trip(Fault(Id(alarm.gate), text, output=alarm.name, value=value))]
-    if law.monitor and after.monitor and (name := monitor.lost(law.monitor, after.monitor)):
+    if (
+        law.monitor
+        and after.monitor
+        and (name := monitor.find_lost_output(law.monitor, after.monitor))
+    ):
         return [Halt(f"{name} had no valid value for too long", code=OutcomeCode.BLIND)]
     if after.blind >= law.most_blind:
         text = f"the law had no valid output in {plural(after.blind, 'sample')} in a row"
@@ -66,27 +70,27 @@ def _consequences(
 
 
 def decide(
-    state: State, now_ns: int, run: ActiveRun, control: Control, i: int
-) -> tuple[State, int, list[Outcome]]:
+    state: DecisionState, now_ns: int, run: ActiveRun, control: RunLaw, i: int
+) -> tuple[DecisionState, int, list[Outcome]]:
     """Return the law's code for sample `i` of a run; the rest code if the run ends instead."""
-    law, rest, reference = control.law, state.rules.rest_code, control.values
-    before = control.state.codes[-1] if control.state.codes else rest
+    law, rest_code, reference = control.law, state.rules.rest_code, control.values
+    before = control.state.codes[-1] if control.state.codes else rest_code
     after, command = evaluation.decide(law, control.state, i, reference, control.latch)
     if not isfinite(command.v):
         fault = Fault(Id.CONTROL, f"the law computed u[{i}] = {command.v}")
-        return state, rest, [Trip(fault)]
+        return state, rest_code, [Trip(fault)]
     if not state.rules.allows(before, command.code):
         fault = Fault(Id.LIMITS, f"u[{i}] of the law is not within the limits")
-        return state, rest, [Trip(fault)]
+        return state, rest_code, [Trip(fault)]
     if law.most_limited and after.limited >= law.most_limited:
         text = (
             f"the law was at a limit of the voltage in {plural(after.limited, 'sample')} in a row"
         )
-        return state, rest, [Halt(text, code=OutcomeCode.AT_LIMIT)]
+        return state, rest_code, [Halt(text, code=OutcomeCode.AT_LIMIT)]
     blind = control.state.blind + command.predicted
     if blind > law.most_blind:
         text = f"the law had no valid output for {plural(blind, 'sample')}"
-        return state, rest, [Halt(text, code=OutcomeCode.BLIND)]
+        return state, rest_code, [Halt(text, code=OutcomeCode.BLIND)]
     state = _with_law(state, replace(run, due=i + 1), control, after)
     record = pipe.Control(
         t_host_ns=now_ns,
@@ -103,5 +107,7 @@ def decide(
     return state, command.code, [Emit(record)]
 
 
-def _with_law(state: State, run: ActiveRun, control: Control, after: evaluation.LawState) -> State:
+def _with_law(
+    state: DecisionState, run: ActiveRun, control: RunLaw, after: evaluation.LawState
+) -> DecisionState:
     return replace(state, run=replace(run, control=replace(control, state=after)))

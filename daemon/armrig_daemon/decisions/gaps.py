@@ -7,7 +7,7 @@ invariant L2 of ARCHITECTURE.md.
 from __future__ import annotations
 
 from armrig_core.commands.codes import GapCode, OutcomeCode, RefusalCode
-from armrig_core.rig.volts import applied_code, volts_of
+from armrig_core.rig.volts import device_code, volts_of
 from armrig_protocol.messages import Sample as DeviceSample
 from msgspec.structs import replace
 
@@ -16,39 +16,39 @@ from armrig_daemon.decisions.state import (
     Action,
     ActiveRun,
     Arrived,
+    DecisionState,
     Emit,
-    MissingSamples,
+    PendingGap,
     Phase,
     Publish,
     Sent,
     SetPeriod,
-    State,
 )
 from armrig_daemon.pipe import Gap, RunEnded
 
 MAX_MISSING_PIECES = 1000  # most gaps of one outage; all samples before these are one more gap
 
 
-def note(state: State, absent: MissingSamples) -> State:
+def note(state: DecisionState, absent: PendingGap) -> DecisionState:
     """Remember missing samples until the next sample arrives."""
     return replace(state, absent=(*state.absent[1 - MAX_MISSING_PIECES :], absent))
 
 
 def missing(
     k: int, n: int, reason: GapCode, code: int | None, t_from_ns: int, t_to_ns: int
-) -> MissingSamples:
-    """Return a `MissingSamples` with the sentence that belongs to its reason."""
-    return MissingSamples(k, n, reason.sentence, code, t_from_ns, t_to_ns, reason)
+) -> PendingGap:
+    """Return a `PendingGap` with the sentence that belongs to its reason."""
+    return PendingGap(k, n, reason.sentence, code, t_from_ns, t_to_ns, reason)
 
 
-def lost(sent: Sent, now_ns: int) -> MissingSamples:
+def frame_loss(sent: Sent, now_ns: int) -> PendingGap:
     """Return the missing sample of an unanswered EXCHANGE; its input is the commanded code."""
     return missing(sent.k, 1, GapCode.FRAME_LOST, sent.code, sent.sent_ns, now_ns)
 
 
 def report_missing(
-    state: State, end: int, now_ns: int, u_before: int | None = None
-) -> tuple[State, list[Action]]:
+    state: DecisionState, end: int, now_ns: int, u_before: int | None = None
+) -> tuple[DecisionState, list[Action]]:
     """Report the missing samples between the last reported sample and `end`.
 
     Parameters
@@ -76,7 +76,7 @@ def report_missing(
     return replace(state, last_reported_k=end - 1, absent=later), done
 
 
-def due_ns(state: State, k: int) -> int:
+def due_ns(state: DecisionState, k: int) -> int:
     """Return the time at which sample k was due, from the run's `t_zero_ns` or the last tick."""
     run = state.run
     if run is not None and run.scheduled and run.k_first >= 0:
@@ -84,28 +84,28 @@ def due_ns(state: State, k: int) -> int:
     return state.tick_ns - (state.k - k) * state.pace_us * 1000
 
 
-def _unanswered(state: State, k: int, n: int, now_ns: int) -> MissingSamples:
+def _no_answer(state: DecisionState, k: int, n: int, now_ns: int) -> PendingGap:
     return missing(k, n, GapCode.NO_ANSWER, None, due_ns(state, k), now_ns)
 
 
-def _pieces(state: State, first: int, end: int, now_ns: int) -> list[MissingSamples]:
+def _pieces(state: DecisionState, first: int, end: int, now_ns: int) -> list[PendingGap]:
     """Return the missing samples with the numbers `first` to `end` - 1, each with its reason."""
-    pieces: list[MissingSamples] = []
+    pieces: list[PendingGap] = []
     k = first
     for a in sorted(state.absent):
         begin, past = max(a.k, k), min(a.k + a.n, end)
         if begin >= past:
             continue
         if begin > k:
-            pieces.append(_unanswered(state, k, begin - k, now_ns))
+            pieces.append(_no_answer(state, k, begin - k, now_ns))
         pieces.append(a._replace(k=begin, n=past - begin))
         k = past
     if k < end:
-        pieces.append(_unanswered(state, k, end - k, now_ns))
+        pieces.append(_no_answer(state, k, end - k, now_ns))
     return pieces
 
 
-def _gap(piece: MissingSamples, code: int) -> Gap:
+def _gap(piece: PendingGap, code: int) -> Gap:
     return Gap(
         k_first=piece.k,
         count=piece.n,
@@ -118,11 +118,11 @@ def _gap(piece: MissingSamples, code: int) -> Gap:
 
 
 def publish(
-    state: State, now_ns: int, m: DeviceSample, arrived: Arrived
-) -> tuple[State, list[Action]]:
+    state: DecisionState, now_ns: int, m: DeviceSample, arrived: Arrived
+) -> tuple[DecisionState, list[Action]]:
     """Publish the gaps before a sample, then the sample."""
     for sent in arrived.unanswered:
-        state = note(state, lost(sent, now_ns))
+        state = note(state, frame_loss(sent, now_ns))
     if arrived.answered is None and state.run is not None:
         state = _note_missing(state, state.run, m.k, now_ns)
     sample = arrived.sample
@@ -141,7 +141,9 @@ def publish(
     return state, done
 
 
-def end_run(state: State, now_ns: int, *, complete: bool = False) -> tuple[State, list[Action]]:
+def end_run(
+    state: DecisionState, now_ns: int, *, complete: bool = False
+) -> tuple[DecisionState, list[Action]]:
     """Report the end of the run; call this when no further sample of the run can arrive.
 
     If the run is `complete`, the device has taken all samples: those that have not arrived are
@@ -160,14 +162,14 @@ def end_run(state: State, now_ns: int, *, complete: bool = False) -> tuple[State
         end = run.k_first + min(run.due, run.samples)
         waiting = state.link.sent if state.link else ()
         for sent in (s for s in waiting if s.k < end):
-            state = note(state, lost(sent, now_ns))
+            state = note(state, frame_loss(sent, now_ns))
         if run.scheduled and state.phase is Phase.FAULT:
             # Report the samples that the device would have taken by now without the fault.
             by_now = (now_ns - run.t_zero_ns) // (state.ts_us * 1000) + 1
             n = max(0, min(by_now, run.samples) - run.due)
             due = due_ns(state, end)
             held = state.outcome, state.rules.rest_code
-            untaken = MissingSamples(end, n, *held, due, now_ns, GapCode.FAULT)
+            untaken = PendingGap(end, n, *held, due, now_ns, GapCode.FAULT)
             state = note(state, untaken)
             run, end = replace(run, due=run.due + n), end + n
         state, reports = report_missing(state, end, now_ns)
@@ -183,11 +185,11 @@ def end_run(state: State, now_ns: int, *, complete: bool = False) -> tuple[State
     return replace(state, run=None, outcome="", outcome_code=None), done
 
 
-def _note_missing(state: State, run: ActiveRun, end: int, now_ns: int) -> State:
+def _note_missing(state: DecisionState, run: ActiveRun, end: int, now_ns: int) -> DecisionState:
     """Store the missing samples of a run before `end`; their inputs are the setpoints' codes."""
     bits = state.device.pwm_bits if state.device else 16
     for i in range(max(run.due, end - MAX_MISSING_PIECES), end):
-        code = applied_code(run.code(i), bits)
+        code = device_code(run.code(i), bits)
         absent = missing(run.k_first + i, 1, GapCode.FRAME_LOST, code, now_ns, now_ns)
         state = note(state, absent)
     return state

@@ -10,11 +10,18 @@ from msgspec.structs import replace
 
 from armrig_daemon import pipe
 from armrig_daemon.decisions import outcomes
-from armrig_daemon.decisions.budget import check, exchange_us
+from armrig_daemon.decisions.budget import check, min_exchange_us
 from armrig_daemon.decisions.faults import name_of, sentence
 from armrig_daemon.decisions.outcomes import NO_DEVICE, Step, Then, answer, refuse
 from armrig_daemon.decisions.output_limits import blind, outside, too_slow
-from armrig_daemon.decisions.state import Action, Lease, PendingRequest, Phase, RequestKind, State
+from armrig_daemon.decisions.state import (
+    Action,
+    DecisionState,
+    Lease,
+    PendingRequest,
+    Phase,
+    RequestKind,
+)
 
 NOT_HELD = "not the lease in force: arm first"
 """Refusal of a command from a client that does not hold the rig."""
@@ -22,7 +29,7 @@ BY_HAND = "the motor is driven by hand: disarm first"
 _AT_REST = (DeviceState.IDLE, DeviceState.READY)
 
 
-def handle(state: State, now_ns: int, order: pipe.Order) -> Step:
+def handle(state: DecisionState, now_ns: int, order: pipe.Order) -> Step:
     """Carry out an order, or refuse it."""
     state = replace(state, service_ns=now_ns)
     match order:
@@ -39,7 +46,7 @@ def handle(state: State, now_ns: int, order: pipe.Order) -> Step:
         case pipe.Arm():
             return _arm(state, now_ns, order)
         case pipe.Leased():
-            return _leased(state, now_ns, order)
+            return _handle_leased(state, now_ns, order)
     return state, refuse(order, "not an order that this daemon knows")
 
 
@@ -48,12 +55,12 @@ def not_newer(n: int, last: int) -> str:
     return f"n={n} must be greater than the last, {last}"
 
 
-def held_by(owner: str) -> str:
+def holder_sentence(owner: str) -> str:
     """Return the refusal of an arming while an owner holds the rig."""
     return f"{owner} has the rig: wait until it is free, or end it with `armrig stop`"
 
 
-def quit_(state: State) -> Step:
+def quit_(state: DecisionState) -> Step:
     """Stop the motor and exit; if a device answers, exit only after it has confirmed the stop."""
     if state.quitting:
         return state, []
@@ -63,21 +70,21 @@ def quit_(state: State) -> Step:
     return state, [outcomes.Halt("the daemon was ended", code=OutcomeCode.DAEMON_ENDED)]
 
 
-def _alive(state: State, now_ns: int, order: pipe.Alive) -> State:
+def _alive(state: DecisionState, now_ns: int, order: pipe.Alive) -> DecisionState:
     lease = state.lease
     if lease is None or state.phase is not Phase.ARMED or order.lease != lease.lease:
         return state
     return replace(state, lease=replace(lease, renewed_ns=now_ns))
 
 
-def _stop(state: State, order: pipe.Stop) -> Step:
+def _stop(state: DecisionState, order: pipe.Stop) -> Step:
     may_turn = state.phase in (Phase.ARMED, Phase.ACTIVE) or state.asked is not None
     if state.device is None or state.phase is Phase.FAULT or not may_turn:
         return state, answer(order, {"done": True})  # at 0 V, or out of reach
     return state, [outcomes.Halt(order.reason, order, order.outcome_code)]
 
 
-def _reset(state: State, order: pipe.Reset) -> Step:
+def _reset(state: DecisionState, order: pipe.Reset) -> Step:
     if state.phase is not Phase.FAULT:
         return state, answer(order, {"done": False})  # nothing is latched
     if state.device is None:
@@ -88,7 +95,7 @@ def _reset(state: State, order: pipe.Reset) -> Step:
     return state, [outcomes.Ask(RequestKind.CLEAR if latched else RequestKind.HELLO, order)]
 
 
-def _calibrate(state: State, order: pipe.Calibrate) -> Step:
+def _calibrate(state: DecisionState, order: pipe.Calibrate) -> Step:
     """Replace the calibration, at rest only; it converts samples, and changes no frame or limit."""
     if state.phase is Phase.FAULT:
         return state, _refuse_in_fault(order, state)
@@ -103,7 +110,7 @@ def _calibrate(state: State, order: pipe.Calibrate) -> Step:
     return replace(state, rules=rules), answer(order, {"done": True})
 
 
-def _arm(state: State, now_ns: int, order: pipe.Arm) -> Step:
+def _arm(state: DecisionState, now_ns: int, order: pipe.Arm) -> Step:
     if state.quitting:
         return state, refuse(order, "the daemon is ending", RefusalCode.ENDING)
     if state.phase is Phase.FAULT:
@@ -136,7 +143,7 @@ def _arm(state: State, now_ns: int, order: pipe.Arm) -> Step:
     return begin_arming(state, order)
 
 
-def begin_arming(state: State, order: pipe.Arm) -> Step:
+def begin_arming(state: DecisionState, order: pipe.Arm) -> Step:
     """Configure the device for the owner's sampling time, then arm it."""
     device = state.device
     ts_us = order.ts_us or state.rules.ts_us
@@ -156,12 +163,12 @@ def begin_arming(state: State, order: pipe.Arm) -> Step:
         return state, refuse(order, f"{error} {least_us / 1e6:g} s")
     # Until a run begins, the host paces the samples: at this Ts if the line is fast enough for it,
     # otherwise at the default Ts.
-    fits = ts_us >= exchange_us(baud, device.skew_us, m)
+    fits = ts_us >= min_exchange_us(baud, device.skew_us, m)
     paced_us = ts_us if fits else state.rules.ts_us
     return state, [outcomes.Ask(RequestKind.CONFIGURE, order, paced_us)]
 
 
-def _leased(state: State, now_ns: int, order: pipe.Leased) -> Step:
+def _handle_leased(state: DecisionState, now_ns: int, order: pipe.Leased) -> Step:
     lease = state.lease
     held = lease is not None and state.phase in (Phase.ARMED, Phase.ACTIVE)
     if lease is None or not held or order.lease != lease.lease:
@@ -195,16 +202,16 @@ def _refuse_as_busy(order: pipe.Order, asked: PendingRequest) -> list[Action]:
 
 
 def _refuse_as_held(order: pipe.Order, lease: Lease) -> list[Action]:
-    return refuse(order, held_by(lease.owner), RefusalCode.HELD, owner=lease.owner)
+    return refuse(order, holder_sentence(lease.owner), RefusalCode.HELD, owner=lease.owner)
 
 
-def _refuse_in_fault(order: pipe.Order, state: State) -> list[Action]:
+def _refuse_in_fault(order: pipe.Order, state: DecisionState) -> list[Action]:
     text = f"in fault ({state.reason}): correct the cause, then reset"
     fault = state.fault.id if state.fault else ""
     return refuse(order, text, RefusalCode.IN_FAULT, fault=fault, reason=state.reason)
 
 
-def _refusal(state: State, order: pipe.Leased) -> list[Action]:
+def _refusal(state: DecisionState, order: pipe.Leased) -> list[Action]:
     """Return the refusal of an order of the lease's holder; [] for an allowed order."""
     match order:
         case pipe.Set():
@@ -232,7 +239,7 @@ def _refusal(state: State, order: pipe.Leased) -> list[Action]:
     return []
 
 
-def _refuse_reference(state: State, order: pipe.SetReference) -> list[Action]:
+def _refuse_reference(state: DecisionState, order: pipe.SetReference) -> list[Action]:
     """Return the refusal of a reference that was not rehearsed; [] for an allowed reference."""
     if state.run is None or not state.run.control:
         text = "no law controls the rig: begin a run in control, then change its reference"
@@ -244,7 +251,7 @@ def _refuse_reference(state: State, order: pipe.SetReference) -> list[Action]:
     return []
 
 
-def _refuse_control(state: State, order: pipe.Run) -> list[Action]:
+def _refuse_control(state: DecisionState, order: pipe.Run) -> list[Action]:
     """Return the refusal of a run in control; [] for an allowed run."""
     rules, ts_us, law = state.rules, state.ts_us, order.law
     if order.scheduled:
@@ -253,8 +260,8 @@ def _refuse_control(state: State, order: pipe.Run) -> list[Action]:
     if law and law.Ts_us != ts_us:
         text = f"the law has Ts={law.Ts_us / 1e6:g} s, and the rig {ts_us / 1e6:g} s"
         return refuse(order, text)
-    lowest, rest, highest = rules.code_min, rules.rest_code, rules.code_max
-    if law and not lowest <= law.lo_code <= rest <= law.hi_code <= highest:
+    lowest, rest_code, highest = rules.code_min, rules.rest_code, rules.code_max
+    if law and not lowest <= law.lo_code <= rest_code <= law.hi_code <= highest:
         codes = law.lo_code, law.hi_code, lowest, highest
         low, high, least, most = (f"{volts_of(code):.4g}" for code in codes)
         text = f"the law has {low} … {high} V; allowed are {least} … {most} V, with {rules.rest}"
@@ -265,7 +272,7 @@ def _refuse_control(state: State, order: pipe.Run) -> list[Action]:
     return []
 
 
-def _cannot_pace(state: State, order: pipe.Run) -> list[Action]:
+def _cannot_pace(state: DecisionState, order: pipe.Run) -> list[Action]:
     """Return the refusal of a run that the device cannot pace; [] for any other run."""
     if order.scheduled:
         if state.device is not None and state.device.capabilities & Capability.SCHEDULED:
@@ -277,7 +284,7 @@ def _cannot_pace(state: State, order: pipe.Run) -> list[Action]:
     return []
 
 
-def _refuse_as_too_short(state: State, order: pipe.Order) -> list[Action]:
+def _refuse_as_too_short(state: DecisionState, order: pipe.Order) -> list[Action]:
     ts_s = state.lease.ts_us / 1e6 if state.lease else 0
     text = (
         f"Ts={ts_s:g} s cannot be carried in exchange mode: run scheduled, or arm with a longer Ts"
@@ -285,7 +292,7 @@ def _refuse_as_too_short(state: State, order: pipe.Order) -> list[Action]:
     return refuse(order, text, RefusalCode.CANNOT_PACE)
 
 
-def _out_of_range(state: State, order: pipe.Set) -> list[Action]:
+def _out_of_range(state: DecisionState, order: pipe.Set) -> list[Action]:
     """Return the refusal of a voltage outside the limits; [] for an allowed voltage."""
     rules, before, code = state.rules, state.code, order.code
     if state.run is not None and state.run.own:

@@ -16,7 +16,7 @@ from armrig_protocol.messages import HelloReply, Message
 from armrig_protocol.messages import State as DeviceState
 
 from armrig_daemon.decisions.faults import EMULATOR_REMEDY, Fault, remedy
-from armrig_daemon.decisions.state import Action, Emit, RequestKind, State
+from armrig_daemon.decisions.state import Action, DecisionState, Emit, RequestKind
 from armrig_daemon.pipe import Answer, Log, Order, Run
 from armrig_daemon.pipe import State as StateRecord
 
@@ -92,7 +92,7 @@ class NoteState(NamedTuple):
 
 
 Outcome = Ask | Transmit | Trip | Halt | GiveUp | Fill | NoteState | EndRun | Then | Action
-Step = tuple[State, Sequence[Outcome]]
+Step = tuple[DecisionState, Sequence[Outcome]]
 """Result of a function of the core: the next state, then its outcomes in their order."""
 
 
@@ -130,7 +130,7 @@ def device_facts(device: HelloReply | None) -> dict[str, object]:
     return facts
 
 
-def motor(state: State) -> str:
+def motor(state: DecisionState) -> str:
     """Return the state of the motor, as text for a person."""
     watchdog = f"its watchdog stops it within {state.rules.watchdog_ms} ms"
     if state.device is None or state.link is None:
@@ -142,7 +142,7 @@ def motor(state: State) -> str:
     return f"stop sent, but not confirmed; {watchdog}" if state.fault else "driven"
 
 
-def unanswered(state: State) -> str:
+def silence_cause(state: DecisionState) -> str:
     """Return the reason why no device answers HELLO, and a remedy; "" if there is no problem."""
     link = state.link
     if link is None:
@@ -150,31 +150,31 @@ def unanswered(state: State) -> str:
         runs = "its emulator runs (`armrigd emulate`), or start `armrig lab` again"
         waits = "no rig is connected, and the daemon waits for one: check that "
         return waits + (runs if state.is_emulated else plugged)
-    asked, came, baud = state.asked, link.came, state.rules.baud
+    asked, rx, baud = state.asked, link.came, state.rules.baud
     if asked is None or asked.want is not RequestKind.HELLO or asked.tries < NOTICE_TRIES:
         return ""
     if state.is_emulated:
         return f"the emulator does not answer: {EMULATOR_REMEDY}"
-    if came.frames:
-        found = (
-            f"{plural(came.frames, 'frame')} came, but no answer to HELLO; check that its firmware "
+    if rx.frames:
+        observation = (
+            f"{plural(rx.frames, 'frame')} came, but no answer to HELLO; check that its firmware "
             "speaks this version of the wire, and that nothing else is on this port"
         )
-    elif came.bytes:
-        found = (
-            f"{plural(came.bytes, 'byte')} came at {baud} baud, but no frame; check the [device] "
+    elif rx.bytes:
+        observation = (
+            f"{plural(rx.bytes, 'byte')} came at {baud} baud, but no frame; check the [device] "
             "baud and "
             "the port; another sketch may run on the board: `armrig flash` writes armrig's firmware"
         )
     else:
-        found = (
+        observation = (
             f"{plural(asked.tries, 'request')} at {baud} baud had no answer; check that the device "
             "has power, that this is its port, and that it contains the firmware"
         )
-    return f"the device does not answer: {found}"
+    return f"the device does not answer: {observation}"
 
 
-def report_state(state: State, now_ns: int) -> Action:
+def report_state(state: DecisionState, now_ns: int) -> Action:
     """Return the record of the state, with the sampling time."""
     paces_itself = state.scheduled and state.device_state == DeviceState.RUN
     return Emit(
@@ -188,16 +188,16 @@ def report_state(state: State, now_ns: int) -> Action:
             fault=state.fault.id if state.fault else "",
             motor=motor(state),
             remedy=remedy(state.fault.id, is_emulated=state.is_emulated) if state.fault else "",
-            line=unanswered(state),
+            line=silence_cause(state),
             owner_checked=state.lease.owner_checked if state.lease else "",
             device_cause=state.fault.device_cause if state.fault else 0,
         )
     )
 
 
-def silence(state: State, now_ns: int) -> list[Action]:
+def silence(state: DecisionState, now_ns: int) -> list[Action]:
     """Return the reports about a silent device: a state each second, a log line each minute."""
-    text, tries = unanswered(state), state.asked.tries if state.asked else 0
+    text, tries = silence_cause(state), state.asked.tries if state.asked else 0
     if not text or (tries - NOTICE_TRIES) % _HELLOS_PER_SECOND:
         return []
     notice: list[Action] = [report_state(state, now_ns)]

@@ -13,13 +13,13 @@ from msgspec.structs import replace
 
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.outcomes import Step, Trip
-from armrig_daemon.decisions.state import OutputLimit, OutputWatch, Phase, State
+from armrig_daemon.decisions.state import DecisionState, OutputLimit, OutputWatch, Phase
 
 _DRIVING = (Phase.ARMED, Phase.ACTIVE)
 _RAILS = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)  # int: `&` of two Flags takes 0.5 µs
 
 
-def observe(state: State, limits: tuple[OutputLimit, ...], sample: Sample) -> Step:
+def observe(state: DecisionState, limits: tuple[OutputLimit, ...], sample: Sample) -> Step:
     """Count the samples outside the limits; trip if a driven rig has had too many in a row.
 
     A valid sample inside the limits begins the count again. An invalid sample and a missing sample
@@ -27,14 +27,14 @@ def observe(state: State, limits: tuple[OutputLimit, ...], sample: Sample) -> St
     """
     watch = state.watch
     watched = tuple(
-        _watched(watch[i] if watch else None, limit, sample) for i, limit in enumerate(limits)
+        _next_watch(watch[i] if watch else None, limit, sample) for i, limit in enumerate(limits)
     )
     state = replace(state, watch=watched)
     fault = outside(limits, watched) if state.phase in _DRIVING else None
     return state, [] if fault is None else [Trip(fault)]
 
 
-def _watched(before: OutputWatch | None, limit: OutputLimit, sample: Sample) -> OutputWatch:
+def _next_watch(before: OutputWatch | None, limit: OutputLimit, sample: Sample) -> OutputWatch:
     """Return what is known of an output after a sample."""
     value, t_ns = (sample.value_1 if limit.channel else sample.value_0), sample.t_host_ns
     at_rail = 0
@@ -46,8 +46,8 @@ def _watched(before: OutputWatch | None, limit: OutputLimit, sample: Sample) -> 
             at_rail = min((before.at_rail if before else 0) + 1, limit.rail_samples)
     if isnan(value):
         # The blind time begins with the first sample.
-        known = before or OutputWatch(0, t_ns, value)
-        return replace(known, at_rail=at_rail) if at_rail != known.at_rail else known
+        watch = before or OutputWatch(0, t_ns, value)
+        return replace(watch, at_rail=at_rail) if at_rail != watch.at_rail else watch
     if not _side(limit, value):
         return OutputWatch(0, t_ns, value)
     count = before.outside if before else 0
@@ -65,21 +65,21 @@ def outside(
     limits: tuple[OutputLimit, ...], watch: tuple[OutputWatch, ...] | UnsetType
 ) -> Fault | None:
     """Return the fault if an output was outside its limits in too many samples, or None."""
-    for limit, known in zip(limits, watch or (), strict=False):
-        if known.outside >= limit.samples:
-            side = _side(limit, known.value)
+    for limit, output in zip(limits, watch or (), strict=False):
+        if output.outside >= limit.samples:
+            side = _side(limit, output.value)
             end = limit.high if side == "above" else limit.low
-            cause = f"{limit.name} = {known.value:.6g} {limit.unit} is {side} {end:g} {limit.unit}"
-            if isinf(known.value):
+            cause = f"{limit.name} = {output.value:.6g} {limit.unit} is {side} {end:g} {limit.unit}"
+            if isinf(output.value):
                 cause = (
                     f"{limit.name} reads the end of its range, which counts as {side} {end:g} "
                     f"{limit.unit}"
                 )
-            value = nan if isinf(known.value) else known.value
+            value = nan if isinf(output.value) else output.value
             return Fault(Id.OUTPUT, cause, output=limit.name, value=value)
-        if limit.rail_samples and known.at_rail >= limit.rail_samples:
-            cause = f"{limit.name} read an end of its range in {plural(known.at_rail, 'sample')}"
-            return Fault(Id.OUTPUT, cause, output=limit.name, value=known.value)
+        if limit.rail_samples and output.at_rail >= limit.rail_samples:
+            cause = f"{limit.name} read an end of its range in {plural(output.at_rail, 'sample')}"
+            return Fault(Id.OUTPUT, cause, output=limit.name, value=output.value)
     return None
 
 
@@ -90,14 +90,14 @@ def blind(
     ts_us: int,
 ) -> Fault | None:
     """Return the fault if no valid sample of an output came for longer than allowed, or None."""
-    for limit, known in zip(limits, watch or (), strict=False):
-        age_ns, most_ns = now_ns - known.valid_ns, limit.blind_after_ns(ts_us)
+    for limit, output in zip(limits, watch or (), strict=False):
+        age_ns, most_ns = now_ns - output.valid_ns, limit.blind_after_ns(ts_us)
         if most_ns and age_ns > most_ns:
             cause = (
                 f"{limit.name} has had no valid sample for {age_ns / 1e6:.0f} ms: "
                 f"{most_ns / 1e6:g} ms are allowed"
             )
-            return Fault(Id.BLIND, cause, output=limit.name, value=known.value)
+            return Fault(Id.BLIND, cause, output=limit.name, value=output.value)
     return None
 
 

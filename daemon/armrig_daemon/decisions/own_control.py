@@ -9,13 +9,13 @@ from msgspec.structs import replace
 from armrig_daemon import pipe
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.outcomes import Halt, Outcome, Trip
-from armrig_daemon.decisions.state import ActiveRun, Emit, OwnControl, State
+from armrig_daemon.decisions.state import ActiveRun, DecisionState, Emit, OwnControl
 
 ARMED_NS = 10_000_000_000
 """Longest time at rest without a command of the lease's holder, in ns."""
 
 
-def has_run_out(state: State, now_ns: int) -> bool:
+def has_run_out(state: DecisionState, now_ns: int) -> bool:
     """Return whether the newest command of the lease's holder is too old (S2)."""
     lease, rules = state.lease, state.rules
     # A run begins at rest, and its client may take long to set the first voltage.
@@ -25,22 +25,22 @@ def has_run_out(state: State, now_ns: int) -> bool:
 
 
 def decide(
-    state: State, now_ns: int, n: int, run: ActiveRun, own: OwnControl, i: int
-) -> tuple[State, int, list[Outcome]]:
+    state: DecisionState, now_ns: int, n: int, run: ActiveRun, control: OwnControl, i: int
+) -> tuple[DecisionState, int, list[Outcome]]:
     """Return the code of the newest `set`, number `n`; rest if the client is gone (S2, S5)."""
-    code, rest = state.code, state.rules.rest_code
+    code, rest_code = state.code, state.rules.rest_code
     if has_run_out(state, now_ns):
         text = "its client went away: it set no voltage in time"
-        return state, rest, [Halt(text, code=OutcomeCode.CLIENT_GONE)]
-    if code != rest and not state.rules.allows(own.code, code):
-        return state, rest, [Trip(Fault(Id.LIMITS, f"u[{i}] is not within the limits"))]
-    own = OwnControl(own.reference, code, n, own.missed + (i > 0 and n == own.n))
+        return state, rest_code, [Halt(text, code=OutcomeCode.CLIENT_GONE)]
+    if code != rest_code and not state.rules.allows(control.code, code):
+        return state, rest_code, [Trip(Fault(Id.LIMITS, f"u[{i}] is not within the limits"))]
+    control = OwnControl(control.reference, code, n, control.missed + (i > 0 and n == control.n))
     record = pipe.Control(
         t_host_ns=now_ns,
         k=run.k_first + i,
-        r=memoryview(own.reference).cast("d")[i],
+        r=memoryview(control.reference).cast("d")[i],
         v=volts_of(code),
         u_v=volts_of(code),
-        predicted=own.missed,
+        predicted=control.missed,
     )
-    return replace(state, run=replace(run, due=i + 1, own=own)), code, [Emit(record)]
+    return replace(state, run=replace(run, due=i + 1, own=control)), code, [Emit(record)]

@@ -7,7 +7,7 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from armrig_daemon.decisions.state import Phase, State
+from armrig_daemon.decisions.state import DecisionState, Phase
 
 
 class On(Enum):
@@ -39,6 +39,6 @@ Any other pair raises an exception; the loop then stops the motor and ends.
 """
 
 
-def moved(state: State, on: On, **changes: Any) -> State:
+def change_phase(state: DecisionState, on: On, **changes: Any) -> DecisionState:
     """Return the state with the next phase after `on`, and with `changes`."""
     return replace(state, phase=TRANSITIONS[on][state.phase], **changes)

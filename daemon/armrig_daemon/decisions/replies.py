@@ -8,8 +8,8 @@ from msgspec.structs import replace
 from armrig_daemon.decisions import outcomes
 from armrig_daemon.decisions.faults import Fault, Id, name_of, of_device
 from armrig_daemon.decisions.outcomes import Step, Then, log
-from armrig_daemon.decisions.phases import On, moved
-from armrig_daemon.decisions.state import Phase, RequestKind, RoundTrip, State
+from armrig_daemon.decisions.phases import On, change_phase
+from armrig_daemon.decisions.state import DecisionState, Phase, RequestKind, RoundTrip
 
 _TYPES = {
     RequestKind.HELLO: wire.TYPES[wire.Hello],
@@ -21,7 +21,7 @@ _TYPES = {
 }
 
 
-def note_echo(state: State, echo: int) -> Step:
+def note_echo(state: DecisionState, echo: int) -> Step:
     """Store that the device has received the frame `echo`, which proves a round trip.
 
     If another host has sent this frame to a driven device, stop with a fault.
@@ -39,7 +39,7 @@ def note_echo(state: State, echo: int) -> Step:
     return replace(state, link=link), []
 
 
-def pong(state: State, now_ns: int, reply: wire.Pong) -> Step:
+def pong(state: DecisionState, now_ns: int, reply: wire.Pong) -> Step:
     """Handle the answer to the last PING, which proves a round trip; ignore any other PONG."""
     link = state.link
     if link is None or reply.host_ns != link.ping_ns:
@@ -48,7 +48,7 @@ def pong(state: State, now_ns: int, reply: wire.Pong) -> Step:
     return state, [RoundTrip(now_ns - reply.host_ns), outcomes.NoteState(reply.state)]
 
 
-def rebooted(state: State, now_ns: int) -> Step:
+def handle_reboot(state: DecisionState, now_ns: int) -> Step:
     """Handle a restart of the device, after which the device is at 0 V without a configuration."""
     was_driving = state.phase in (Phase.ARMED, Phase.ACTIVE)
     state = replace(state.linked(sent=(), device_state=0), device=None)
@@ -56,13 +56,13 @@ def rebooted(state: State, now_ns: int) -> Step:
     if was_driving:
         done = [outcomes.Trip(Fault(Id.RESET, "the device was reset"))]
     elif state.phase is not Phase.FAULT:
-        state = moved(state, On.LOST)
+        state = change_phase(state, On.LOST)
         done = [log(now_ns, "warning", "the device was reset"), Then.REPORT]
     # The run is over. HELLO replaces a STOP, which the restarted device will not confirm.
     return state, [*done, outcomes.EndRun(), outcomes.Ask(RequestKind.HELLO)]
 
 
-def ack(state: State, reply: wire.Ack) -> Step:
+def ack(state: DecisionState, reply: wire.Ack) -> Step:
     """Handle the acknowledgement of a request, or its refusal."""
     asked, link = state.asked, state.link
     if asked is None or link is None or reply.of_seq != asked.seq:
@@ -88,7 +88,7 @@ def ack(state: State, reply: wire.Ack) -> Step:
     return state, [outcomes.GiveUp(text)]
 
 
-def event(state: State, reply: wire.Event) -> Step:
+def event(state: DecisionState, reply: wire.Event) -> Step:
     """Handle an event of the device, which may have stopped the motor by itself."""
     state = state.linked(token=reply.token)
     if reply.token and state.phase is not Phase.FAULT:

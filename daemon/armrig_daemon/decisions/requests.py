@@ -12,11 +12,11 @@ from armrig_daemon.decisions import outcomes
 from armrig_daemon.decisions.outcomes import Step, answer, refuse
 from armrig_daemon.decisions.state import (
     Action,
+    DecisionState,
     PendingRequest,
     RequestKind,
     Send,
     Sent,
-    State,
     Traffic,
     Unechoed,
 )
@@ -25,8 +25,8 @@ MAX_REMEMBERED_FRAMES = 64  # frames without an echo; the fault STALE occurs wit
 
 
 def send(
-    state: State, now_ns: int, data: bytes, exchange: Sent | None = None
-) -> tuple[State, list[Action]]:
+    state: DecisionState, now_ns: int, data: bytes, exchange: Sent | None = None
+) -> tuple[DecisionState, list[Action]]:
     """Send the frame with the next seq; remember an EXCHANGE until its SAMPLE arrives."""
     link, in_force = state.link, state.configuration
     if link is None:
@@ -41,7 +41,7 @@ def send(
     return replace(state, link=link), [Send(data)]
 
 
-def transmit(state: State, now_ns: int, messages: tuple[wire.Message, ...]) -> Step:
+def transmit(state: DecisionState, now_ns: int, messages: tuple[wire.Message, ...]) -> Step:
     """Send messages, each with the next seq."""
     done: list[Action] = []
     for message in messages:
@@ -51,7 +51,7 @@ def transmit(state: State, now_ns: int, messages: tuple[wire.Message, ...]) -> S
     return state, done
 
 
-def ask(state: State, now_ns: int, asked: outcomes.Ask) -> Step:
+def ask(state: DecisionState, now_ns: int, asked: outcomes.Ask) -> Step:
     """Send a request to the device, and remember the request until it takes effect.
 
     The request replaces a pending request; the order of the pending request is answered.

@@ -6,14 +6,14 @@ by its own timer. Each mode determines in its own way which sample was due.
 
 from __future__ import annotations
 
-from armrig_core.rig.volts import applied_code, volts_of
+from armrig_core.rig.volts import device_code, volts_of
 from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Flag
 from armrig_protocol.messages import Sample as DeviceSample
 from msgspec.structs import replace
 
 from armrig_daemon.decisions.clockmap import extend, host_ns_at
-from armrig_daemon.decisions.state import ActiveRun, Arrived, Rules, Sent, State, is_newer
+from armrig_daemon.decisions.state import ActiveRun, Arrived, DecisionState, Rules, Sent, is_newer
 
 _RUN = int(Flag.RUN)  # int: `&` of two Flags takes 0.5 µs
 _ADC0_RAIL, _ADC1_RAIL = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)
@@ -22,7 +22,7 @@ MIN_MAP_EXCHANGES = 8
 """Number of exchanges after which the clock map is more accurate than times counted from START."""
 
 
-def answer(state: State, m: DeviceSample) -> tuple[State, Arrived | None]:
+def answer(state: DecisionState, m: DeviceSample) -> tuple[DecisionState, Arrived | None]:
     """Return the sample that answers an EXCHANGE of the daemon; None for any other sample."""
     link, device = state.link, state.device
     at = None if link is None else _find_exchange(link.sent, m.k)
@@ -38,10 +38,10 @@ def answer(state: State, m: DeviceSample) -> tuple[State, Arrived | None]:
         return state, None
     if sent.k <= state.last_reported_k:
         return state.linked(sent=later), None  # too late: it was already reported as a gap
-    expected = applied_code(sent.code, device.pwm_bits) if m.flags & _RUN else 0
+    expected = device_code(sent.code, device.pwm_bits) if m.flags & _RUN else 0
     link = replace(link, sent=later, last_round_trip_ns=sent.sent_ns)
-    t_us, by = extended(state.t_us, m.t_us), state.rules
-    sample = converted(by, m, sent.k, sent.sched_ns, sent.sent_ns, t_us, sent.code)
+    t_us, by = unwrap(state.t_us, m.t_us), state.rules
+    sample = convert_sample(by, m, sent.k, sent.sched_ns, sent.sent_ns, t_us, sent.code)
     return state, Arrived(sample, sent.code, expected, link, state.run, sent, unanswered)
 
 
@@ -53,7 +53,7 @@ def _find_exchange(sent: tuple[Sent, ...], k: int) -> int | None:
     return None
 
 
-def of_run(state: State, now_ns: int, m: DeviceSample) -> Arrived | None:
+def of_run(state: DecisionState, now_ns: int, m: DeviceSample) -> Arrived | None:
     """Return a sample of a scheduled run; None for a repeated sample or without a run."""
     run, device, link = state.run, state.device, state.link
     if run is None or run.k_first < 0 or not run.due <= m.k < run.samples:
@@ -61,14 +61,14 @@ def of_run(state: State, now_ns: int, m: DeviceSample) -> Arrived | None:
     if device is None or link is None or _is_older_than_last(state, m):
         return None
     code = run.code(m.k)
-    t_us, by = extended(state.t_us, m.t_us), state.rules
-    sched_ns = _sched_ns(state, run, m)
-    sample = converted(by, m, run.k_first + m.k, sched_ns, now_ns, t_us, code)
-    expected = applied_code(code, device.pwm_bits)
+    t_us, by = unwrap(state.t_us, m.t_us), state.rules
+    sched_ns = _due_ns(state, run, m)
+    sample = convert_sample(by, m, run.k_first + m.k, sched_ns, now_ns, t_us, code)
+    expected = device_code(code, device.pwm_bits)
     return Arrived(sample, code, expected, link, replace(run, due=m.k + 1))
 
 
-def _sched_ns(state: State, run: ActiveRun, m: DeviceSample) -> int:
+def _due_ns(state: DecisionState, run: ActiveRun, m: DeviceSample) -> int:
     """Return the host's time at which a sample was due, from the clock map or from `t_zero_ns`."""
     clock = state.clock
     if clock is not None and clock.map.weight and len(clock.map.round_trips) >= MIN_MAP_EXCHANGES:
@@ -76,17 +76,17 @@ def _sched_ns(state: State, run: ActiveRun, m: DeviceSample) -> int:
     return run.t_zero_ns + m.k * state.ts_us * 1000
 
 
-def _is_older_than_last(state: State, m: DeviceSample) -> bool:
+def _is_older_than_last(state: DecisionState, m: DeviceSample) -> bool:
     """Return whether a sample precedes the last one by at most half a wrap of its clock."""
     return bool(state.sampled_ns) and (m.t_us - state.t_us) & 0xFFFFFFFF > 0x7FFFFFFF
 
 
-def extended(last: int, raw: int) -> int:
+def unwrap(last: int, raw: int) -> int:
     """Return the reading `raw` of a 32-bit clock without wraps; `last` is the previous result."""
     return last + ((raw - last) & 0xFFFFFFFF)
 
 
-def converted(
+def convert_sample(
     rules: Rules,
     m: DeviceSample,
     k: int,

@@ -16,7 +16,7 @@ from armrig_daemon.decisions import outcomes
 from armrig_daemon.decisions.budget import PING_INTERVAL_US
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.outcomes import Step
-from armrig_daemon.decisions.state import ActiveRun, Phase, Queue, RequestKind, State
+from armrig_daemon.decisions.state import ActiveRun, DecisionState, Phase, Queue, RequestKind
 from armrig_daemon.pipe import Run
 
 _ARMED = Phase.ARMED
@@ -29,14 +29,14 @@ MAX_FRAMES = 8
 """Largest number of setpoint frames that are sent at once; more would delay other frames."""
 
 
-def begin(state: State, now_ns: int, order: Run) -> Step:
+def begin(state: DecisionState, now_ns: int, order: Run) -> Step:
     """Begin to fill the queue of the device, which is armed at 0 V for this run."""
     run = ActiveRun(order.run_id, order.codes, -1, scheduled=True)
     queue = Queue(order, moved_ns=now_ns, asked_ns=now_ns)
     return refill(replace(state, run=run, queue=queue), now_ns)
 
 
-def refill(state: State, now_ns: int) -> Step:
+def refill(state: DecisionState, now_ns: int) -> Step:
     """Send the setpoints that the device has room for."""
     queue, run = state.queue, state.run
     if queue is None or run is None or state.device is None or state.is_stopping:
@@ -64,7 +64,7 @@ def refill(state: State, now_ns: int) -> Step:
     return state, [outcomes.Transmit(tuple(frames))] if frames else []
 
 
-def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
+def note_queue(state: DecisionState, now_ns: int, base: int, queued: int) -> Step:
     """Store the number of setpoints in the device; send more, or START if there are enough."""
     queue, run = state.queue, state.run
     if queue is None or run is None:
@@ -83,7 +83,7 @@ def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
     return refill(state, now_ns)
 
 
-def _is_filled(state: State) -> bool:
+def _is_filled(state: DecisionState) -> bool:
     queue, run, device = state.queue, state.run, state.device
     if queue is None or run is None or device is None:
         return False
@@ -91,7 +91,7 @@ def _is_filled(state: State) -> bool:
     return queue.held >= enough
 
 
-def tick(state: State, now_ns: int) -> Step:
+def tick(state: DecisionState, now_ns: int) -> Step:
     """Fill the device's queue and compare the clocks during a scheduled run."""
     if state.is_stopping:
         # No STOP was confirmed, and the device still drives the motor: repeat STOP until the

@@ -244,10 +244,10 @@ class Sent(Value, frozen=True):
     sent_ns: int
     code: int
     device_seq: int | None = None
-    """`Link.device_seq` when the EXCHANGE was sent. The number of the answer must be newer."""
+    """`LinkState.device_seq` when the EXCHANGE was sent. The number of the answer must be newer."""
 
 
-class MissingSamples(NamedTuple):
+class PendingGap(NamedTuple):
     """Missing samples: detected at a tick, and reported before the next sample."""
 
     k: int
@@ -291,7 +291,7 @@ class ChangedReference:
         return self._attached[k]
 
 
-class Control(msgspec.Struct, frozen=True, gc=False):
+class RunLaw(msgspec.Struct, frozen=True, gc=False):
     """Law of a run in control, with its reference and its state."""
 
     law: Program
@@ -313,7 +313,7 @@ class Control(msgspec.Struct, frozen=True, gc=False):
         attached = memoryview(self.reference).cast("d")
         return ChangedReference(attached, self.changes) if self.changes else attached
 
-    def with_reference(self, r: float, n: int, first: int) -> Control:
+    def with_reference(self, r: float, n: int, first: int) -> RunLaw:
         """Return this law with the reference r, of command number n, from sample `first` on.
 
         The time does not depend on the length of the run, because a tick may be due.
@@ -350,7 +350,7 @@ class ActiveRun(msgspec.Struct, frozen=True, gc=False):
     """Index of the next sample to arrive in a scheduled run, or to request in exchange mode."""
     t_zero_ns: int = 0
     """In a scheduled run: the host's estimate of the time at which sample 0 was due."""
-    control: Control | UnsetType = UNSET
+    control: RunLaw | UnsetType = UNSET
     """Law that determines each code of the run; without it, the code is one of `codes`."""
     own: OwnControl | UnsetType = UNSET
     """Set if each code is that of a `set` of the client."""
@@ -395,7 +395,7 @@ class Unechoed(Value, frozen=True):
 
 
 # The names of the fields are keys in a trace; `name=` keeps the earlier key of a renamed field.
-class Link(msgspec.Struct, frozen=True, gc=False):
+class LinkState(msgspec.Struct, frozen=True, gc=False):
     """State of the link to the device while the port is open."""
 
     pending: bytes = b""
@@ -424,9 +424,9 @@ class Link(msgspec.Struct, frozen=True, gc=False):
         return (echo - self.seq) & 0xFFFF < 0x8000
 
 
-def is_newer(seq: int, known: int) -> bool:
+def is_newer(seq: int, other: int) -> bool:
     """Return whether a frame was sent after another one of the same sender, by their numbers."""
-    return 0 < (seq - known) & 0xFFFF < 0x8000
+    return 0 < (seq - other) & 0xFFFF < 0x8000
 
 
 class Configuration(msgspec.Struct, frozen=True, gc=False):
@@ -441,7 +441,7 @@ class Configuration(msgspec.Struct, frozen=True, gc=False):
     """Time at which the CONFIG of this configuration was sent."""
 
 
-class Clock(msgspec.Struct, frozen=True, gc=False):
+class ClockComparison(msgspec.Struct, frozen=True, gc=False):
     """Comparison of the device's clock with the host's, within one boot of the device."""
 
     boot_id: int
@@ -452,7 +452,7 @@ class Clock(msgspec.Struct, frozen=True, gc=False):
     map: ClockMap = ClockMap()
 
 
-class State(msgspec.Struct, frozen=True, gc=False):
+class DecisionState(msgspec.Struct, frozen=True, gc=False):
     """Complete state of the core; replacing fields of a struct is fast (docs/decisions)."""
 
     rules: Rules
@@ -460,7 +460,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     fault: Fault | None = None
     """Fault that is latched; None in every phase except FAULT."""
     quitting: bool = False
-    link: Link | None = None
+    link: LinkState | None = None
     """None while no port is open."""
     device: HelloReply | None = None
     device_uid: int = 0
@@ -468,7 +468,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     asked: PendingRequest | None = None
     configuration: Configuration | None = None
     """None until a device has accepted a configuration."""
-    clock: Clock | None = None
+    clock: ClockComparison | None = None
     """None until a device has answered HELLO."""
     pace_us: int = 0
     """Period of the loop's ticks, in µs; the device's timer paces a scheduled run."""
@@ -480,7 +480,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     """Number of the last tick."""
     last_reported_k: int = msgspec.field(default=-1, name="told")
     """Number of the last sample that was published or reported missing."""
-    absent: tuple[MissingSamples, ...] = ()
+    absent: tuple[PendingGap, ...] = ()
     """Samples after `last_reported_k` that are known to be missing."""
     applied: int = 0
     """Code that the device last reported as latched; the rest code outside RUN."""
@@ -537,12 +537,12 @@ class State(msgspec.Struct, frozen=True, gc=False):
         """Return the cause of the fault, or an empty text."""
         return self.fault.cause if self.fault else ""
 
-    def linked(self, **changes: Any) -> State:
+    def linked(self, **changes: Any) -> DecisionState:
         """Return the state with changes in its link; a state without a link does not change."""
         link = self.link
         return self if link is None else replace(self, link=replace(link, **changes))
 
-    def ending_with(self, outcome: str, code: OutcomeCode) -> State:
+    def ending_with(self, outcome: str, code: OutcomeCode) -> DecisionState:
         """Return the state with the outcome of its run; an outcome that is stored is kept."""
         if self.outcome or not outcome:
             return self
@@ -557,7 +557,7 @@ class Arrived(Value, frozen=True):
     """Code that was commanded for the sample."""
     expected: int
     """Code that the device must have applied."""
-    link: Link
+    link: LinkState
     run: ActiveRun | None
     """Run after this sample."""
     answered: Sent | None = None

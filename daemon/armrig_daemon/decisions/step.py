@@ -36,13 +36,14 @@ from armrig_daemon.decisions import (
 )
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.outcomes import Step, Then, log, refuse, report_state, silence
-from armrig_daemon.decisions.phases import On, moved
+from armrig_daemon.decisions.phases import On, change_phase
 from armrig_daemon.decisions.state import (
     Action,
+    DecisionState,
     Emit,
     Event,
-    Link,
     LinkDown,
+    LinkState,
     LinkUp,
     Ordered,
     Phase,
@@ -52,7 +53,6 @@ from armrig_daemon.decisions.state import (
     Rules,
     Sent,
     ServiceGone,
-    State,
     Tick,
     Traffic,
     is_newer,
@@ -66,22 +66,22 @@ _RUN, _ARMED, _ACTIVE, _FAULT = wire.State.RUN, Phase.ARMED, Phase.ACTIVE, Phase
 _DRIVING = (_ARMED, _ACTIVE)
 # int: `&` of two Flags takes 0.5 µs.
 _FLAG_RUN, _FLAG_UNDERRUN = int(wire.Flag.RUN), int(wire.Flag.UNDERRUN)
-Decided = tuple[State, list[Action]]
+Decided = tuple[DecisionState, list[Action]]
 
 
-def start(rules: Rules) -> State:
+def start(rules: Rules) -> DecisionState:
     """Return the state before the first event."""
-    rest = rules.rest_code
-    return State(rules=rules, pace_us=rules.ts_us, code=rest, applied=rest)
+    rest_code = rules.rest_code
+    return DecisionState(rules=rules, pace_us=rules.ts_us, code=rest_code, applied=rest_code)
 
 
-def step(state: State, now_ns: int, events: Iterable[Event]) -> Decided:
+def step(state: DecisionState, now_ns: int, events: Iterable[Event]) -> Decided:
     """Return the state after `events`, and the actions; `now_ns` is the time after the events."""
     done: list[Action] = []
     for event in events:
         # Faster than a match: each tick has these two.
         if type(event) is Received:
-            state, actions = _received(state, now_ns, event.data)
+            state, actions = _handle_bytes(state, now_ns, event.data)
         elif type(event) is Tick:
             state, actions = _tick(state, now_ns, event)
         else:
@@ -90,7 +90,7 @@ def step(state: State, now_ns: int, events: Iterable[Event]) -> Decided:
     return state, done
 
 
-def wake_ns(state: State) -> int:
+def wake_ns(state: DecisionState) -> int:
     """Return the time at which the core needs a `Wakeup` if no event arrives earlier, in ns."""
     if state.asked is not None:
         return transitions.retry_ns(state.asked)
@@ -98,13 +98,13 @@ def wake_ns(state: State) -> int:
     return _NEVER if link is None else link.last_send_ns + state.rules.watchdog_ms * 1_000_000 // 3
 
 
-def _other(state: State, now_ns: int, event: Event) -> Step:
+def _other(state: DecisionState, now_ns: int, event: Event) -> Step:
     """Handle an event that not every tick has."""
     match event:
         case Ordered():
             return orders.handle(state, now_ns, event.order)
         case LinkUp():
-            return replace(state, link=Link()), [outcomes.Ask(RequestKind.HELLO)]
+            return replace(state, link=LinkState()), [outcomes.Ask(RequestKind.HELLO)]
         case LinkDown():
             return _link_down(state, now_ns, event.reason)
         case ServiceGone():
@@ -154,7 +154,7 @@ def carry_out(now_ns: int, decided: Step) -> Decided:
     return state, done
 
 
-def _link_down(state: State, now_ns: int, reason: str) -> Step:
+def _link_down(state: DecisionState, now_ns: int, reason: str) -> Step:
     order = state.asked.order if state.asked else None
     done = refuse(order, f"link lost: {reason}", RefusalCode.NO_LINK)
     state = replace(state, link=None, device=None, asked=None)
@@ -163,11 +163,11 @@ def _link_down(state: State, now_ns: int, reason: str) -> Step:
     if state.phase in _DRIVING:
         return state, [*done, outcomes.Trip(Fault(Id.LINK, f"link lost: {reason}"))]
     # Without a link, no STOP can be confirmed: the run is over.
-    said = log(now_ns, "warning", f"no link: {reason}")
-    return moved(state, On.LOST), [*done, outcomes.EndRun(), said, Then.REPORT]
+    warning = log(now_ns, "warning", f"no link: {reason}")
+    return change_phase(state, On.LOST), [*done, outcomes.EndRun(), warning, Then.REPORT]
 
 
-def _received(state: State, now_ns: int, data: bytes) -> Decided:
+def _handle_bytes(state: DecisionState, now_ns: int, data: bytes) -> Decided:
     link = state.link
     if link is None:
         return state, []
@@ -176,8 +176,8 @@ def _received(state: State, now_ns: int, data: bytes) -> Decided:
         state = state.linked(pending=pending)
     if state.asked is not None and state.asked.want is RequestKind.HELLO:
         sound = sum(not isinstance(message, _NOISE) for message in received)
-        came = Traffic(link.came.bytes + len(data), link.came.frames + sound)
-        state = state.linked(came=came)
+        traffic = Traffic(link.came.bytes + len(data), link.came.frames + sound)
+        state = state.linked(came=traffic)
     done: list[Action] = []
     for message in received:
         if isinstance(message, _NOISE):
@@ -189,18 +189,18 @@ def _received(state: State, now_ns: int, data: bytes) -> Decided:
     return state, done
 
 
-def handle_message(state: State, now_ns: int, message: wire.Message) -> Decided:
+def handle_message(state: DecisionState, now_ns: int, message: wire.Message) -> Decided:
     """Handle a message of the device."""
     device, link, seq = state.device, state.link, message.seq
-    known = None if link is None else link.device_seq
+    last_seq = None if link is None else link.device_seq
     # A device that was reset begins its numbers again.
-    newest = known is None or is_newer(seq, known) or isinstance(message, wire.HelloReply)
+    newest = last_seq is None or is_newer(seq, last_seq) or isinstance(message, wire.HelloReply)
     if link is not None and newest:
         state = replace(state, link=replace(link, device_seq=seq))
     decided: Step = state, []
     match message:
         case wire.Sample() | wire.Event() if device and message.boot != device.boot_id & 0xFFFF:
-            decided = replies.rebooted(state, now_ns)
+            decided = replies.handle_reboot(state, now_ns)
         case wire.Sample():
             return handle_sample(state, now_ns, message)
         case wire.HelloReply():
@@ -217,7 +217,7 @@ def handle_message(state: State, now_ns: int, message: wire.Message) -> Decided:
     return carry_out(now_ns, decided)
 
 
-def handle_sample(state: State, now_ns: int, m: wire.Sample) -> Decided:
+def handle_sample(state: DecisionState, now_ns: int, m: wire.Sample) -> Decided:
     """Handle a sample: echo, state of the device, number, gaps, clock, queue, applied code."""
     in_force = state.configuration
     self_paced = in_force is not None and in_force.scheduled and bool(m.flags & _FLAG_RUN)
@@ -265,20 +265,20 @@ def handle_sample(state: State, now_ns: int, m: wire.Sample) -> Decided:
     return state, done
 
 
-def _wakeup(state: State, now_ns: int) -> Step:
+def _wakeup(state: DecisionState, now_ns: int) -> Step:
     if state.asked is not None:
         return transitions.retry(state, now_ns)
     link = state.link
     if link is None:
         return state, []
     drives = link.device_state == _RUN
-    if drives and (state.is_stopping or _lapsed(state, now_ns)):
+    if drives and (state.is_stopping or _will_stop_motor(state, now_ns)):
         # A KEEPALIVE would feed the device's watchdog.
         return state.linked(last_send_ns=now_ns), []
     return state, [outcomes.Transmit((wire.Keepalive(0, 0),))]
 
 
-def _lapsed(state: State, now_ns: int) -> bool:
+def _will_stop_motor(state: DecisionState, now_ns: int) -> bool:
     """Return whether the next tick will stop the motor; a Wakeup may precede this tick."""
     rules = state.rules
     if state.k >= 0 and now_ns - state.tick_ns > rules.pause_ns(
@@ -288,7 +288,7 @@ def _lapsed(state: State, now_ns: int) -> bool:
     return state.run is None and state.phase is _ACTIVE and own_control.has_run_out(state, now_ns)
 
 
-def _is_self_paced(state: State) -> bool:
+def _is_self_paced(state: DecisionState) -> bool:
     """Return whether the device is in a scheduled run, paced by its own clock."""
     in_force, link = state.configuration, state.link
     if in_force is None or link is None:
@@ -296,7 +296,7 @@ def _is_self_paced(state: State) -> bool:
     return in_force.scheduled and link.device_state == _RUN
 
 
-def _tick(state: State, now_ns: int, tick: Tick) -> Decided:
+def _tick(state: DecisionState, now_ns: int, tick: Tick) -> Decided:
     self_paced = _is_self_paced(state)
     skipped = tick.k - state.k - 1 if state.k >= 0 else 0
     pause_ns = now_ns - state.tick_ns if state.k >= 0 else 0
@@ -347,36 +347,38 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Decided:
     return state, done + actions
 
 
-def _skip(state: State, k: int, count: int, now_ns: int, reason: GapCode) -> State:
+def _skip(state: DecisionState, k: int, count: int, now_ns: int, reason: GapCode) -> DecisionState:
     return gaps.note(state, gaps.missing(k, count, reason, None, state.tick_ns, now_ns))
 
 
-def _stale(state: State, now_ns: int, age_ns: int, *, driving: bool) -> Step:
+def _stale(state: DecisionState, now_ns: int, age_ns: int, *, driving: bool) -> Step:
     age_ms = age_ns / 1e6
     if driving:
         cause = f"no answer from the device for {age_ms:.0f} ms"
         return state, [outcomes.Trip(Fault(Id.STALE, cause))]
     if state.asked is not None:
         return state, []
-    state = moved(state.linked(sent=()), On.LOST, device=None)
+    state = change_phase(state.linked(sent=()), On.LOST, device=None)
     text = f"no answer from the device for {age_ms:.0f} ms; sending HELLO"
     return state, [log(now_ns, "warning", text), Then.REPORT, outcomes.Ask(RequestKind.HELLO)]
 
 
-def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[outcomes.Outcome]]:
+def _decide(
+    state: DecisionState, now_ns: int, k: int
+) -> tuple[DecisionState, int, list[outcomes.Outcome]]:
     """Return the code for tick `k`: that of a valid command, or the rest code without one."""
-    lease, rest = state.lease, state.rules.rest_code
+    lease, rest_code = state.lease, state.rules.rest_code
     if lease is None or (state.asked is not None and state.asked.want is RequestKind.STOP):
-        return state, rest, []
+        return state, rest_code, []
     if state.phase is _ARMED and now_ns - lease.renewed_ns > own_control.ARMED_NS:
         text = "armed for 10 s without a command: disarmed"
-        return state, rest, [log(now_ns, "info", text), outcomes.Halt("")]
+        return state, rest_code, [log(now_ns, "info", text), outcomes.Halt("")]
     if state.phase is not _ACTIVE:
-        return state, rest, []
+        return state, rest_code, []
     if state.run is None:
         if own_control.has_run_out(state, now_ns):
             cause = "the lease ran out: no command from its holder"
-            return state, rest, [outcomes.Trip(Fault(Id.LEASE, cause))]
+            return state, rest_code, [outcomes.Trip(Fault(Id.LEASE, cause))]
         return state, state.code, []
     done: list[outcomes.Outcome] = []
     run = state.run
@@ -388,7 +390,7 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[outcome
     i = k - run.k_first
     if i >= run.samples:
         state = replace(state, run=replace(run, due=run.samples))
-        return state, rest, [*done, outcomes.Halt("complete", code=OutcomeCode.COMPLETE)]
+        return state, rest_code, [*done, outcomes.Halt("complete", code=OutcomeCode.COMPLETE)]
     if run.control:
         state, code, more = control.decide(state, now_ns, run, run.control, i)
         return state, code, [*done, *more]
@@ -396,7 +398,7 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[outcome
         state, code, more = own_control.decide(state, now_ns, lease.n, run, run.own, i)
         return state, code, [*done, *more]
     code = run.code(i)
-    if not state.rules.allows(run.code_before(i, rest), code):
+    if not state.rules.allows(run.code_before(i, rest_code), code):
         fault = Fault(Id.LIMITS, f"u[{i}] is not within the limits")
-        return state, rest, [*done, outcomes.Trip(fault)]
+        return state, rest_code, [*done, outcomes.Trip(fault)]
     return replace(state, run=replace(run, due=i + 1)), code, done

@@ -8,27 +8,27 @@ from msgspec.structs import replace
 from armrig_daemon.decisions import outcomes
 from armrig_daemon.decisions.faults import Fault, sentence
 from armrig_daemon.decisions.outcomes import Step, Then, log
-from armrig_daemon.decisions.phases import On, moved
-from armrig_daemon.decisions.state import Exit, RequestKind, State
+from armrig_daemon.decisions.phases import On, change_phase
+from armrig_daemon.decisions.state import DecisionState, Exit, RequestKind
 
 
-def stop(state: State, halt: outcomes.Halt) -> Step:
+def stop(state: DecisionState, halt: outcomes.Halt) -> Step:
     """Stop the motor without a fault; the run ends when the device has stopped."""
     state = replace(state.ending_with(halt.outcome, halt.code), code=state.rules.rest_code)
     return state, [outcomes.Ask(RequestKind.STOP, halt.order)]
 
 
-def leave(state: State) -> Step:
+def leave(state: DecisionState) -> Step:
     """Remove the lease and exit, so that later frames of the same step cannot cause a fault."""
-    return moved(state, On.ENDED, lease=None, code=state.rules.rest_code), [Exit()]
+    return change_phase(state, On.ENDED, lease=None, code=state.rules.rest_code), [Exit()]
 
 
-def trip(state: State, now_ns: int, fault: Fault) -> Step:
+def trip(state: DecisionState, now_ns: int, fault: Fault) -> Step:
     """Stop the motor and latch the fault, which only a reset ends (S6 of ARCHITECTURE.md)."""
     state = state.ending_with(fault.cause, OutcomeCode.FAULT)
-    state = moved(state, On.TRIPPED, fault=fault, lease=None, code=state.rules.rest_code)
-    said = sentence(fault, is_emulated=state.is_emulated)
-    text = f"stopped at {state.rules.rest}: {said}; then `armrig reset`, then repeat"
+    state = change_phase(state, On.TRIPPED, fault=fault, lease=None, code=state.rules.rest_code)
+    fault_text = sentence(fault, is_emulated=state.is_emulated)
+    text = f"stopped at {state.rules.rest}: {fault_text}; then `armrig reset`, then repeat"
     # A device that cannot be reached is stopped by its own watchdog.
     stopped = outcomes.Ask(RequestKind.STOP) if state.link is not None else outcomes.EndRun()
     facts = {"cause": str(fault.id)}

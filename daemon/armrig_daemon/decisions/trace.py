@@ -15,6 +15,7 @@ from msgspec.structs import replace
 
 from armrig_daemon.decisions.state import (
     Action,
+    DecisionState,
     Event,
     LinkDown,
     LinkUp,
@@ -22,7 +23,6 @@ from armrig_daemon.decisions.state import (
     Received,
     Send,
     ServiceGone,
-    State,
     Tick,
     Wakeup,
 )
@@ -40,7 +40,7 @@ _KINDS: tuple[type[Event], ...] = (
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
 
 
-class Step(NamedTuple):
+class DecisionStep(NamedTuple):
     """One call of the core, and the frames to the device that it returned."""
 
     now_ns: int
@@ -50,7 +50,7 @@ class Step(NamedTuple):
 
 _Written = list[tuple[int, list[tuple[int, bytes]], list[bytes]]]
 _ENCODER, _STEPS = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(_Written)
-_STATE = msgspec.msgpack.Decoder(State)
+_STATE = msgspec.msgpack.Decoder(DecisionState)
 _EVENTS = [msgspec.msgpack.Decoder(kind) for kind in _KINDS]
 _ORDER = msgspec.msgpack.Decoder(Orders)
 
@@ -65,12 +65,12 @@ class Chunk(NamedTuple):
     steps: bytes
 
 
-class Trace:
+class TraceBuffer:
     """Steps of a run that have not been returned in a chunk yet."""
 
-    def __init__(self, state: State) -> None:
+    def __init__(self, state: DecisionState) -> None:
         """Begin with the state at the start of the run."""
-        self._state = written_state(state)
+        self._state = encode_state(state)
         self._lease = state.lease.lease if state.lease else ""
         self._number = 0
         self._noted: list[tuple[int, Iterable[Event], Iterable[Action]]] = []
@@ -104,7 +104,7 @@ class Trace:
         sent: list[bytes] = []
         size = _STEP_BYTES
         for event in events:
-            data = event.data if type(event) is Received else _written_event(event, self._lease)
+            data = event.data if type(event) is Received else _encode_event(event, self._lease)
             written.append((_NUMBERS[type(event)], data))
             size += _EVENT_BYTES + len(data)
         for action in actions:
@@ -126,7 +126,7 @@ class Trace:
         return chunk
 
 
-def written_state(state: State) -> bytes:
+def encode_state(state: DecisionState) -> bytes:
     """Return a state as bytes, without the codes or the reference of its run, and its lease.
 
     They are not needed, because the recording contains the input or the reference. The lease is
@@ -148,8 +148,8 @@ def written_state(state: State) -> bytes:
     )
 
 
-def restored(data: bytes, source: bytes, version: int = VERSION) -> State:
-    """Return the state that `written_state` has encoded, with the codes or reference of its run.
+def decode_state(data: bytes, source: bytes, version: int = VERSION) -> DecisionState:
+    """Return the state that `encode_state` has encoded, with the codes or reference of its run.
 
     Raises
     ------
@@ -169,11 +169,11 @@ def restored(data: bytes, source: bytes, version: int = VERSION) -> State:
     return replace(state, run=replace(run, codes=source))
 
 
-def steps_of(chunk: bytes, version: int = VERSION) -> list[Step]:
-    """Return the steps of a chunk; raise as `restored` does."""
+def steps_of(chunk: bytes, version: int = VERSION) -> list[DecisionStep]:
+    """Return the steps of a chunk; raise as `decode_state` does."""
     _check(version)
     return [
-        Step(now_ns, tuple(_event(number, data) for number, data in events), tuple(sent))
+        DecisionStep(now_ns, tuple(_event(number, data) for number, data in events), tuple(sent))
         for now_ns, events, sent in _STEPS.decode(chunk)
     ]
 
@@ -183,7 +183,7 @@ def _check(version: int) -> None:
         raise msgspec.DecodeError(f"trace of version {version}: only {VERSION} is known")
 
 
-def _written_event(event: Event, lease: str) -> bytes:
+def _encode_event(event: Event, lease: str) -> bytes:
     if isinstance(event, Ordered):
         return _ENCODER.encode(_without_secrets(event.order, lease))
     return _ENCODER.encode(event)

@@ -16,13 +16,13 @@ from msgspec.structs import replace
 from armrig_daemon.decisions import outcomes
 from armrig_daemon.decisions.faults import OF_DEVICE, Fault, Id, name_of, of_device, sentence
 from armrig_daemon.decisions.outcomes import Step, Then, answer, log, refuse
-from armrig_daemon.decisions.phases import On, moved
+from armrig_daemon.decisions.phases import On, change_phase
 from armrig_daemon.decisions.state import (
     Action,
     ActiveRun,
-    Clock,
+    ClockComparison,
     Configuration,
-    Control,
+    DecisionState,
     Emit,
     Lease,
     OwnControl,
@@ -30,8 +30,8 @@ from armrig_daemon.decisions.state import (
     Phase,
     RequestKind,
     Rules,
+    RunLaw,
     SetPeriod,
-    State,
 )
 from armrig_daemon.pipe import Arm, Disarm, Order, Reset, Run, RunStarted, Set, Stop
 
@@ -51,7 +51,7 @@ def retry_ns(asked: PendingRequest) -> int:
     return asked.sent_ns + _RETRY_NS.get(asked.want, _OTHER_RETRY_NS)
 
 
-def retry(state: State, now_ns: int) -> Step:
+def retry(state: DecisionState, now_ns: int) -> Step:
     """Send the request again; after too many tries, cancel it and stop a motor that may turn."""
     asked = state.asked
     if asked is None or now_ns < retry_ns(asked):
@@ -62,7 +62,7 @@ def retry(state: State, now_ns: int) -> Step:
     return give_up(state, now_ns, f"the device does not answer {asked.want}")
 
 
-def give_up(state: State, now_ns: int, error: str) -> Step:
+def give_up(state: DecisionState, now_ns: int, error: str) -> Step:
     """Cancel the pending request, and refuse its order."""
     asked = state.asked
     state = replace(state, asked=None)
@@ -81,7 +81,7 @@ def give_up(state: State, now_ns: int, error: str) -> Step:
     return state, [*done, log(now_ns, "warning", error), outcomes.Ask(RequestKind.HELLO)]
 
 
-def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False) -> Step:
+def note_state(state: DecisionState, now_ns: int, reported: int, *, ended: bool = False) -> Step:
     """Handle the state that a frame reports; this state shows whether a request took effect.
 
     Parameters
@@ -103,7 +103,7 @@ def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False)
             RequestKind.CLEAR: reported == DeviceState.IDLE,
         }
         if reached.get(state.asked.want, False):
-            return _reached(state, now_ns, state.asked)
+            return _handle_effect(state, now_ns, state.asked)
     run = state.run
     idle = reported == DeviceState.IDLE and before == DeviceState.RUN
     if idle and run and run.scheduled and (ended or _is_over(state, run, now_ns)):
@@ -122,25 +122,25 @@ def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False)
     return state, []
 
 
-def _is_over(state: State, run: ActiveRun, now_ns: int) -> bool:
+def _is_over(state: DecisionState, run: ActiveRun, now_ns: int) -> bool:
     """Return whether a scheduled run must be over by now, even if its end was not received."""
     return run.due >= run.samples or now_ns >= run.t_zero_ns + run.samples * state.ts_us * 1000
 
 
-def _reached(state: State, now_ns: int, asked: PendingRequest) -> Step:
+def _handle_effect(state: DecisionState, now_ns: int, asked: PendingRequest) -> Step:
     state = replace(state, asked=None)
     match asked.want:
         case RequestKind.ARM:
-            return _armed(state, now_ns, asked)
+            return _handle_armed(state, now_ns, asked)
         case RequestKind.START:
-            return _started(state, now_ns, asked)
+            return _handle_started(state, now_ns, asked)
         case RequestKind.CLEAR:
             return state, [outcomes.Ask(RequestKind.HELLO, asked.order)]
         case _:
-            return _stopped(state, asked)
+            return _handle_stopped(state, asked)
 
 
-def _armed(state: State, now_ns: int, asked: PendingRequest) -> Step:
+def _handle_armed(state: DecisionState, now_ns: int, asked: PendingRequest) -> Step:
     order = asked.order
     if isinstance(order, Run):
         return state, [outcomes.Fill(order)]
@@ -149,7 +149,7 @@ def _armed(state: State, now_ns: int, asked: PendingRequest) -> Step:
     rules = state.rules
     ts_us = order.ts_us or rules.ts_us
     lease = Lease(order.lease, order.owner, ts_us, -1, now_ns, order.owner_checked)
-    state = moved(state, On.ARMED, fault=None, lease=lease)
+    state = change_phase(state, On.ARMED, fault=None, lease=lease)
     granted = {
         "lease": order.lease,
         "period_s": rules.lease_ns(ts_us) / 1e9,
@@ -162,20 +162,20 @@ def _armed(state: State, now_ns: int, asked: PendingRequest) -> Step:
     return state, [Then.REPORT, *answer(order, granted)]
 
 
-def _started(state: State, now_ns: int, asked: PendingRequest) -> Step:
+def _handle_started(state: DecisionState, now_ns: int, asked: PendingRequest) -> Step:
     order = asked.order
     if state.lease is None or not isinstance(order, Run | Set):
         return state, [outcomes.Trip(Fault(Id.INTERNAL, "started without an owner"))]
     # The command has renewed the lease; the later effect of START does not renew it.
-    state = moved(state.linked(beats=()), On.STARTED, outcome="", outcome_code=None)
+    state = change_phase(state.linked(beats=()), On.STARTED, outcome="", outcome_code=None)
     state = replace(state, code=state.rules.rest_code)
     done = [Then.REPORT, *answer(order, {"done": True})]
     if isinstance(order, Set):
         return replace(state, code=order.code), done
     if state.run is None or state.queue is None:
         control = _begin_control(state, order)
-        own = order.reference and not control and OwnControl(order.reference, state.code, order.n)
-        run = ActiveRun(order.run_id, order.codes, -1, control=control, own=own or UNSET)
+        u_own = order.reference and not control and OwnControl(order.reference, state.code, order.n)
+        run = ActiveRun(order.run_id, order.codes, -1, control=control, own=u_own or UNSET)
         return replace(state, run=run), done
     # The device takes its first sample one Ts after it received START.
     heard_ns = (asked.sent_ns + now_ns) // 2
@@ -187,17 +187,17 @@ def _started(state: State, now_ns: int, asked: PendingRequest) -> Step:
     return replace(state, run=run, queue=queue), [*done, Emit(started)]
 
 
-def _begin_control(state: State, order: Run) -> Control | UnsetType:
+def _begin_control(state: DecisionState, order: Run) -> RunLaw | UnsetType:
     """Return the law of a run before its first sample; unset for a run of codes."""
     law, rules = order.law, state.rules
     if not law or not order.reference:
         return UNSET
     bits = state.device.pwm_bits if state.device else 16
     latch = Latch(rules.rest_code, bits, rules.code_min, rules.code_max, rules.slew)
-    return Control(law, latch, order.reference, begin(law), order.r_range)
+    return RunLaw(law, latch, order.reference, begin(law), order.r_range)
 
 
-def _stopped(state: State, asked: PendingRequest) -> Step:
+def _handle_stopped(state: DecisionState, asked: PendingRequest) -> Step:
     if isinstance(asked.order, Run):
         # The device was stopped only to change to scheduled mode: CONFIG and ARM follow.
         ts_us = state.lease.ts_us if state.lease else state.rules.ts_us
@@ -205,7 +205,7 @@ def _stopped(state: State, asked: PendingRequest) -> Step:
     return rest(state, asked.order, outcomes.EndRun())
 
 
-def rest(state: State, order: Order | None, end: outcomes.EndRun) -> Step:
+def rest(state: DecisionState, order: Order | None, end: outcomes.EndRun) -> Step:
     """Continue at 0 V without a lease, once the device has stopped."""
     if state.quitting:
         return state, [end, Then.LEAVE]
@@ -215,7 +215,7 @@ def rest(state: State, order: Order | None, end: outcomes.EndRun) -> Step:
     return state, [end, outcomes.Ask(RequestKind.CONFIGURE, order, state.rules.ts_us)]
 
 
-def handle_hello(state: State, now_ns: int, reply: wire.HelloReply) -> Step:
+def handle_hello(state: DecisionState, now_ns: int, reply: wire.HelloReply) -> Step:
     """Handle the answer to HELLO: a device that fits is configured, then sampled at 0 V."""
     asked = state.asked
     if asked is None or asked.want is not RequestKind.HELLO:
@@ -224,7 +224,7 @@ def handle_hello(state: State, now_ns: int, reply: wire.HelloReply) -> Step:
         return state, []  # the device still boots: HELLO stays pending, and is sent again
     clock = state.clock
     if clock is None or clock.boot_id != reply.boot_id:  # its clock has restarted
-        clock = Clock(reply.boot_id, clock.compared_ns if clock else 0)
+        clock = ClockComparison(reply.boot_id, clock.compared_ns if clock else 0)
         state = replace(state, clock=clock, t_us=0, device=None)
     if state.device is None:
         state = replace(state, sampled_ns=0)  # earlier samples were of another link or boot
@@ -284,17 +284,17 @@ def _unfit(device: wire.HelloReply, rules: Rules) -> Fault | None:
     return Fault(Id.FIRMWARE, text)
 
 
-def _latch(state: State, now_ns: int, asked: PendingRequest, fault: Fault) -> Step:
+def _latch(state: DecisionState, now_ns: int, asked: PendingRequest, fault: Fault) -> Step:
     done = refuse(asked.order, fault.cause, RefusalCode.NO_EFFECT)
     if state.fault != fault:
-        state = moved(state, On.TRIPPED, fault=fault)
+        state = change_phase(state, On.TRIPPED, fault=fault)
         text = sentence(fault, is_emulated=state.is_emulated)
         done.append(log(now_ns, "error", text, cause=fault.id))
     # The state is reported even for the same fault, because `device` has changed.
     return state, [*done, Then.REPORT]
 
 
-def handle_config(state: State, now_ns: int, reply: wire.ConfigReply) -> Step:
+def handle_config(state: DecisionState, now_ns: int, reply: wire.ConfigReply) -> Step:
     """Handle the answer to CONFIG, which contains the CRC of the accepted configuration."""
     asked = state.asked
     in_force = state.configuration
@@ -320,7 +320,7 @@ def handle_config(state: State, now_ns: int, reply: wire.ConfigReply) -> Step:
             )
         if isinstance(asked.order, Arm | Run):
             return give_up(state, now_ns, error)
-        return _refused_at_rest(state, now_ns, asked, error)
+        return _latch_refusal(state, now_ns, asked, error)
     wanted = state.rules.config(asked.ts_us, 0, scheduled=asked.scheduled)
     if reply.config_crc != config_crc(wanted):
         if asked.tries < _MAX_TRIES:
@@ -348,11 +348,11 @@ def handle_config(state: State, now_ns: int, reply: wire.ConfigReply) -> Step:
             done.append(Then.REPORT)
         return state, [*done, outcomes.Ask(RequestKind.ARM, asked.order)]
     on = On.RESET if isinstance(asked.order, Reset) else On.CONFIGURED
-    state = moved(state, on, fault=None, lease=None)
+    state = change_phase(state, on, fault=None, lease=None)
     return state, [*done, Then.REPORT, *answer(asked.order, {"done": True})]
 
 
-def _refused_at_rest(state: State, now_ns: int, asked: PendingRequest, error: str) -> Step:
+def _latch_refusal(state: DecisionState, now_ns: int, asked: PendingRequest, error: str) -> Step:
     """Latch a fault, because the device would refuse the same CONFIG after each HELLO."""
     done: list[Action] = []
     if isinstance(asked.order, Stop | Disarm):  # the device has stopped, so the order is done

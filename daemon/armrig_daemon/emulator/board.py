@@ -13,14 +13,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from armrig_core.rig.calibration import CALIBRATED
-from armrig_core.rig.description import Description, shipped
-from armrig_core.rig.volts import applied_code, duty
+from armrig_core.rig.description import Description, builtin
+from armrig_core.rig.volts import device_code, duty
 from armrig_protocol.messages import CODE_FULL_SCALE, FULL_SCALE_MV, Cause, State
 
 from armrig_daemon.emulator import plant
 from armrig_daemon.emulator.described_rig import DescribedRig
 from armrig_daemon.emulator.faulty_rig import FaultyRig
-from armrig_daemon.emulator.sensors import CODE_BITS, REFERENCE_V, Potentiometer, convert, wiper
+from armrig_daemon.emulator.sensors import (
+    CODE_BITS,
+    REFERENCE_V,
+    EmulatedPotentiometer,
+    convert,
+    wiper,
+)
 from armrig_daemon.emulator.settings import EmulatorSettings
 
 _RUN = State.RUN
@@ -46,9 +52,9 @@ Witness = Callable[[Change], None]
 
 
 @lru_cache
-def reported(code: int, pwm_bits: int) -> int:
+def pin_code(code: int, pwm_bits: int) -> int:
     """Return the code that the pin applies for `code`."""
-    return applied_code(code, pwm_bits) if pwm_bits else code
+    return device_code(code, pwm_bits) if pwm_bits else code
 
 
 @lru_cache
@@ -59,14 +65,14 @@ def volts(code: int, pwm_bits: int) -> float:
     return FULL_SCALE_V * duty(code, pwm_bits) / (1 << pwm_bits)
 
 
-def driven(volts: float, gain: float, offset_v: float) -> float:
+def driver_volts(volts: float, gain: float, offset_v: float) -> float:
     """Return the output of a driver that is off at `volts` = 0, and saturates at 0 and 5 V."""
     if not volts or (gain == 1.0 and offset_v == 0.0):
         return volts  # an ideal driver does not saturate: a wrong voltage remains visible
     return min(max(gain * volts + offset_v, 0.0), FULL_SCALE_V)
 
 
-class Arm:
+class EmulatedArm:
     """The arm or its first part alone, at rest at first, with its potentiometers."""
 
     def __init__(self, settings: EmulatorSettings) -> None:
@@ -104,13 +110,13 @@ class Arm:
         return wiper(self._potentiometers[channel], self.state[channel])
 
 
-def _potentiometer(settings: EmulatorSettings, name: str, *, wraps: bool) -> Potentiometer:
+def _potentiometer(settings: EmulatorSettings, name: str, *, wraps: bool) -> EmulatedPotentiometer:
     """Return the sensor of a channel, whose settings begin with the channel's name."""
 
     def of(key: str) -> Any:
         return getattr(settings, f"{name}_{key}")
 
-    return Potentiometer(
+    return EmulatedPotentiometer(
         range_rad=radians(of("range_deg")) if settings.potentiometers else tau,
         zero_rad=radians(of("zero_deg")),
         wraps=wraps or not settings.potentiometers,
@@ -132,13 +138,13 @@ class Board:
         description: Description | None = None,
     ) -> None:
         """Put the rig at rest; `rng` is the source of noise, `witness` gets each new voltage."""
-        self._rig: Arm | DescribedRig | FaultyRig
+        self._rig: EmulatedArm | DescribedRig | FaultyRig
         if description is None or description.arm:
-            self._rig = Arm(settings)
+            self._rig = EmulatedArm(settings)
         else:
             self._rig = DescribedRig(description, rng)
         if settings.has_faults:
-            self._rig = FaultyRig(self._rig, settings, description or shipped("arm"))
+            self._rig = FaultyRig(self._rig, settings, description or builtin("arm"))
         self._adc_bits = settings.adc_bits or CODE_BITS
         self._noise_v = settings.adc_noise_v
         self._pwm_bits = settings.pwm_bits
@@ -169,8 +175,8 @@ class Board:
         """Apply the voltage of `code` from now on; called only in RUN."""
         if not 0 <= code <= CODE_FULL_SCALE:
             raise VoltageError(f"code {code} at the pin: must be from 0 to {CODE_FULL_SCALE}")
-        self.code = reported(code, self._pwm_bits)
-        terminal_v = driven(volts(code, self._pwm_bits), *self._driver)
+        self.code = pin_code(code, self._pwm_bits)
+        terminal_v = driver_volts(volts(code, self._pwm_bits), *self._driver)
         self._apply(now_ns, terminal_v, _RUN, cause, enabled=True)
 
     def release(self, now_ns: int, state: State, cause: Cause) -> None:
@@ -191,7 +197,7 @@ class Board:
         The duty is known only at the end of its PWM period. If the motion of the rig has already
         been computed beyond `now_ns`, the voltage changes at the end of this motion.
         """
-        terminal_v = driven(FULL_SCALE_V * share, *self._driver)
+        terminal_v = driver_volts(FULL_SCALE_V * share, *self._driver)
         now_ns = max(now_ns, self._now_ns)
         self._apply(now_ns, terminal_v, state, cause, enabled=enabled)
 

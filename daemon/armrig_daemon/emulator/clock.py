@@ -12,7 +12,7 @@ U32: Final = 0xFFFF_FFFF
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class EmulatedClock:
     """Conversion between the caller's time and device time, in integers."""
 
     reset_ns: int
@@ -35,9 +35,9 @@ class Clock:
         return self.reset_ns - (-end_ns * self.second_ns // _NS_PER_S)
 
 
-def started(settings: EmulatorSettings, now_ns: int) -> Clock:
+def clock_at_reset(settings: EmulatorSettings, now_ns: int) -> EmulatedClock:
     """Return the clock of a device that is reset at `now_ns`."""
-    return Clock(now_ns, _NS_PER_S + round(settings.clock_ppm * 1000))
+    return EmulatedClock(now_ns, _NS_PER_S + round(settings.clock_ppm * 1000))
 
 
 def microseconds(device_ns: int) -> int:

@@ -76,8 +76,8 @@ class DescribedRig:
         if channel >= len(self._outputs):
             return 0.5  # an unused input of the converter
         output = self._outputs[channel]
-        own = self._C[channel] @ self._xu[:-1] if self._process is None else self._y[channel]
-        y = float(own) + self._offset[channel]
+        model_y = self._C[channel] @ self._xu[:-1] if self._process is None else self._y[channel]
+        y = float(model_y) + self._offset[channel]
         if self._noise[channel]:
             y += self._noise[channel] * self._rng.standard_normal()
         return _fraction(output, y)

@@ -145,7 +145,7 @@ class Device:
             board=self.board,
             hardware=self._hardware,
             rng=self._rng,
-            clock=clock.started(self._settings, now_ns),
+            clock=clock.clock_at_reset(self._settings, now_ns),
             boot_id=self._boot_id,
             mcusr=mcusr,
         )

@@ -11,7 +11,7 @@ from armrig_daemon.emulator.described_rig import DescribedRig
 from armrig_daemon.emulator.settings import EmulatorSettings
 
 if TYPE_CHECKING:
-    from armrig_daemon.emulator.board import Arm
+    from armrig_daemon.emulator.board import EmulatedArm
 
 _MOVEMENT = 0.01  # change of a reading, as a share of its range, by which its output moves
 _ENDS = {"low": -1.0, "high": 2.0}  # beyond the range by more than any noise
@@ -21,7 +21,7 @@ class FaultyRig:
     """Rig with the faults of the settings, which begin `fault_s` after the start of each run."""
 
     def __init__(
-        self, rig: Arm | DescribedRig, settings: EmulatorSettings, description: Description
+        self, rig: EmulatedArm | DescribedRig, settings: EmulatorSettings, description: Description
     ) -> None:
         """Put faults on a rig at rest; raise InputError if they do not fit the rig."""
         settings.check_rig(description)

@@ -18,7 +18,7 @@ from armrig_protocol.messages import Ack, Cause, Code, Config, Event, Flag, Mess
 from msgspec.structs import replace
 
 from armrig_daemon.emulator.board import Board
-from armrig_daemon.emulator.clock import U32, Clock, Timer, microseconds
+from armrig_daemon.emulator.clock import U32, EmulatedClock, Timer, microseconds
 from armrig_daemon.emulator.guards import NOTHING_SEEN, Guards
 from armrig_daemon.emulator.queue import SetpointQueue
 
@@ -101,7 +101,7 @@ class Firmware:
     hardware: Hardware
     rng: np.random.Generator
     """Generator of tokens and boot ids."""
-    clock: Clock
+    clock: EmulatedClock
     boot_id: int
     mcusr: int
     """Reset flags of the processor."""

@@ -29,7 +29,7 @@ class HostTime:
         self.held_up_ns = 0
         """Sum of the stalls so far, in ns; emulation time is monotonic time minus this sum."""
 
-    def given_ns(self, now_ns: int, due_ns: int = 0) -> int:
+    def emulation_ns(self, now_ns: int, due_ns: int = 0) -> int:
         """Return the emulation time, which the caller passes to the device.
 
         `now_ns` is the current monotonic time. `due_ns` is the emulation time, in ns, until which
@@ -47,9 +47,9 @@ class HostTime:
             return due_ns
         return min(due_ns, self._read_ns - self.held_up_ns + LOOK_NS)
 
-    def monotonic_ns(self, given_ns: int) -> int:
+    def monotonic_ns(self, emulation_ns: int) -> int:
         """Return the monotonic time of an emulation time that is later than the last stall."""
-        return given_ns + self.held_up_ns
+        return emulation_ns + self.held_up_ns
 
 
 class StallReports:

@@ -38,4 +38,4 @@ ARM: Final = LAYOUTS["uno"]
 def layout_of(image: Path) -> Layout:
     """Return the layout of an image by its CRC; the arm's for an image that is not armrig's."""
     crc = read_image(image).crc
-    return next((LAYOUTS[name] for name, known in image_crcs().items() if known == crc), ARM)
+    return next((LAYOUTS[name] for name, shipped in image_crcs().items() if shipped == crc), ARM)

@@ -45,11 +45,11 @@ class Backlog:
         """Return the next bytes to send; b"" if no frame is waiting."""
         return self._frames[0] if self._frames else b""
 
-    def sent(self, n_bytes: int) -> None:
+    def remove_first(self, n_bytes: int) -> None:
         """Remove the first `n_bytes`, which the caller has sent."""
-        rest = self._frames.popleft()[n_bytes:]
-        if rest:
-            self._frames.appendleft(rest)
+        remainder = self._frames.popleft()[n_bytes:]
+        if remainder:
+            self._frames.appendleft(remainder)
         self.waiting_bytes -= n_bytes
 
     def clear(self) -> None:
@@ -58,7 +58,7 @@ class Backlog:
         self.waiting_bytes = 0
 
 
-class Line:
+class EmulatedLine:
     """The device's end of a line, which knows whether a program has the other end open."""
 
     fd = -1
@@ -146,12 +146,12 @@ class Line:
         """Send the waiting frames, as far as the line accepts them."""
         try:
             while data := self.backlog.first():
-                self.backlog.sent(os.write(self.fd, data))
+                self.backlog.remove_first(os.write(self.fd, data))
         except BlockingIOError:
             return
 
 
-class Terminal(Line):
+class Terminal(EmulatedLine):
     """The master's end of a pseudo-terminal."""
 
     def __init__(self, stack: ExitStack) -> None:

@@ -82,7 +82,7 @@ class Pins:
         if message.state == State.RUN:
             self._low_from = None
             if isinstance(message, Sample):
-                self._latched(begun, message)
+                self._check_latch(begun, message)
         elif self._low_from is None and self._start is None:
             self._low_from = begun
 
@@ -91,7 +91,7 @@ class Pins:
             self._note(Violated(cycle, Violation.DRIVEN_OUTSIDE_RUN))
         self._is_noted = True
 
-    def _latched(self, begun: int, m: Sample) -> None:
+    def _check_latch(self, begun: int, m: Sample) -> None:
         """Compare the pin's duty before the latch of a sample with the reported code."""
         hold = self._hold_of(begun, m)
         high = self._high_at(hold - self._period) if hold is not None else None

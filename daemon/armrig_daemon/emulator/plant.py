@@ -39,7 +39,7 @@ SUBSTEP_NS = 100_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plant:
+class ArmPlant:
     """An arm with its matrix exponentials; `build` creates it."""
 
     free: _Table
@@ -63,7 +63,7 @@ def build(
     stiffening: float = 0.0,
     spring_share: float = 1.0,
     substep_ns: int = SUBSTEP_NS,
-) -> Plant:
+) -> ArmPlant:
     """Return the plant for these parameters.
 
     `arm` has the inertias, spring, gear, motor and viscous friction. If `arm_removed` is True,
@@ -75,7 +75,7 @@ def build(
     """
     arm, stiffening = replace(arm, K_lin=arm.K_lin * spring_share), stiffening * spring_share
     free, locked = _tables(arm, arm_removed)
-    return Plant(
+    return ArmPlant(
         free=free,
         locked=locked,
         arm=arm,
@@ -85,7 +85,7 @@ def build(
     )
 
 
-def advance(plant: Plant, x: State, u: float, dt_ns: int) -> State:
+def advance(plant: ArmPlant, x: State, u: float, dt_ns: int) -> State:
     """Return the state after `dt_ns` under the constant voltage `u`.
 
     Without Coulomb friction and stiffening, the result is exact except for rounding. With friction
@@ -129,7 +129,7 @@ def _flow(table: _Table, x: State, u: float, dt_ns: int) -> State:
     return theta, alpha, omega, rate
 
 
-def _split(plant: Plant, x: State, u: float, dt_ns: int) -> State:
+def _split(plant: ArmPlant, x: State, u: float, dt_ns: int) -> State:
     """Return the state after substeps; each is half an impulse, a linear step, half an impulse."""
     while dt_ns:
         step_ns = min(dt_ns, plant.substep_ns)
@@ -144,18 +144,18 @@ def _split(plant: Plant, x: State, u: float, dt_ns: int) -> State:
     return x
 
 
-def _is_held(plant: Plant, x: State, torque: float) -> bool:
+def _is_held(plant: ArmPlant, x: State, torque: float) -> bool:
     return x[2] == 0 and 0 < plant.coulomb_nm >= abs(torque)
 
 
-def _torque(plant: Plant, x: State, u: float) -> float:
+def _torque(plant: ArmPlant, x: State, u: float) -> float:
     """Return the torque on the chassis at rest, without the friction torque, in Nm."""
     alpha = x[1]
     spring = (plant.arm.K_lin + plant.stiffening * alpha * alpha) * alpha
     return plant.arm.torque_per_volt * u + spring
 
 
-def _kick(plant: Plant, x: State, dt_s: float, *, held: bool, breakaway: float) -> State:
+def _kick(plant: ArmPlant, x: State, dt_s: float, *, held: bool, breakaway: float) -> State:
     """Return the state after the exact impulses of friction and of the stiffening spring."""
     theta, alpha, omega, rate = x
     # Only the spring acts on the absolute speed of the arm, theta_1' + alpha'.

@@ -63,8 +63,8 @@ class SetpointQueue:
             return True
         codes = m.u[max(0, -offset) : m.n]
         first = max(0, offset)
-        known = islice(self._entries, first, None)
-        if any(entry.u != u for entry, u in zip(known, codes, strict=False)):
+        entries = islice(self._entries, first, None)
+        if any(entry.u != u for entry, u in zip(entries, codes, strict=False)):
             return False
         new = codes[have - first : self._capacity - first]
         if new and len(self._frames) < self._capacity // MIN_SETPOINTS_PER_FRAME:

@@ -30,7 +30,7 @@ from armrig_daemon.emulator.board import Change, Witness
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Violated, Violation
 from armrig_daemon.emulator.host_time import HostTime, StallReports
-from armrig_daemon.emulator.line import READ_BYTES, Line, Terminal
+from armrig_daemon.emulator.line import READ_BYTES, EmulatedLine, Terminal
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.socket_line import SocketLine
 from armrig_daemon.emulator.uart import wire_ns
@@ -74,7 +74,7 @@ def emulate(
     Raises OperationError if `port` or `trace` cannot be created.
     """
     with ExitStack() as stack:
-        wake = _ended_by(stack)
+        wake = _end_signal_fd(stack)
         line = _line(port, stack)
         out: TextIO | None = None
         if trace is not None:
@@ -114,7 +114,7 @@ def emulate(
 
 
 def _run(
-    line: Line,
+    line: EmulatedLine,
     device: AnyDevice,
     time: HostTime,
     settings: EmulatorSettings,
@@ -132,7 +132,7 @@ def _run(
         waiter.watch(wake)
         line.watch(waiter)
         while True:
-            now_ns = time.given_ns(monotonic_ns(), due_ns)
+            now_ns = time.emulation_ns(monotonic_ns(), due_ns)
             stalls.update(time.held_up_ns, now_ns)
             replies.extend(device.advance(now_ns))
             for violation in device.violations[looked:]:
@@ -156,15 +156,15 @@ def _run(
                 return
             if line.opened_fd in ready and line.was_opened():
                 line.flush()
-                device.reset(time.given_ns(monotonic_ns(), due_ns))
+                device.reset(time.emulation_ns(monotonic_ns(), due_ns))
                 replies.clear()
             elif line.fd in ready:
                 line.note_ready(ready[line.fd])
-            now_ns = time.given_ns(monotonic_ns(), due_ns)
+            now_ns = time.emulation_ns(monotonic_ns(), due_ns)
             if line.connected and line.has_input and device.rx_backlog_ns(now_ns) <= full_ns:
                 data = line.read()
                 if data:
-                    device.receive(time.given_ns(monotonic_ns(), due_ns), data)
+                    device.receive(time.emulation_ns(monotonic_ns(), due_ns), data)
 
 
 def _say_violation(say: Callable[[str], None], port: Path, violated: Violated) -> None:
@@ -181,7 +181,7 @@ def _naming(path: Path) -> Iterator[None]:
         raise OperationError(f"{path}: {err.strerror}") from err
 
 
-def _line(port: Path, stack: ExitStack) -> Line:
+def _line(port: Path, stack: ExitStack) -> EmulatedLine:
     """Return a socket for a port `unix:PATH`, and a pseudo-terminal for any other port."""
     try:
         path = socket_path(str(port))
@@ -190,7 +190,7 @@ def _line(port: Path, stack: ExitStack) -> Line:
     return Terminal(stack) if path is None else SocketLine(path, stack)
 
 
-def _ended_by(stack: ExitStack) -> int:
+def _end_signal_fd(stack: ExitStack) -> int:
     """Return a descriptor that becomes readable at SIGTERM or SIGINT, until `stack` ends."""
     signals = SignalPipe([signal.SIGTERM, signal.SIGINT])
 

@@ -19,7 +19,7 @@ REFERENCE_V = 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Potentiometer:
+class EmulatedPotentiometer:
     """A track and its wiper."""
 
     range_rad: float
@@ -36,7 +36,7 @@ class Potentiometer:
     """-1 if the wiper moves towards the track's beginning with increasing angle; otherwise 1."""
 
 
-def wiper(pot: Potentiometer, angle: float) -> float | None:
+def wiper(pot: EmulatedPotentiometer, angle: float) -> float | None:
     """Return the wiper's voltage as a fraction of the reference; None in the dead band."""
     position = pot.sign * angle + pot.zero_rad
     if pot.wraps:

@@ -10,7 +10,7 @@ import msgspec
 from armrig_core.errors import FileError, InputError, OperationError
 from armrig_core.process.bounded import CONFIGURATION_LIMIT
 from armrig_core.process.toml_file import convert, read_toml
-from armrig_core.rig.firmware_image import read_image, shipped_image
+from armrig_core.rig.firmware_image import image_path, read_image
 from armrig_protocol.messages import QUEUE_CAPACITY, SETPOINTS_PER_FRAME
 from msgspec import UNSET, Meta, UnsetType
 
@@ -162,7 +162,7 @@ def in_dead_band(baud: int) -> EmulatorSettings:
     return EmulatorSettings(baud=baud, theta_1_zero_deg=356.0, arm={"R_m": 1e9})
 
 
-class _File(msgspec.Struct, frozen=True, kw_only=True):
+class _EmulatorFile(msgspec.Struct, frozen=True, kw_only=True):
     emulator: EmulatorSettings
 
 
@@ -178,7 +178,7 @@ def load(path: Path) -> tuple[EmulatorSettings, Path | None]:
     rig = tables.get("rig")
     file = rig.get("file") if isinstance(rig, dict) else None
     try:
-        settings = convert({"emulator": tables.get("emulator", {})}, _File).emulator
+        settings = convert({"emulator": tables.get("emulator", {})}, _EmulatorFile).emulator
     except ValueError as err:
         raise InputError(f"{path}: {err}") from err
     return settings, path.parent / str(file) if file else None
@@ -204,13 +204,13 @@ def firmware_image(image: Path | None) -> Path:
     Raises OperationError if the file does not exist, cannot be read, or is not a complete Intel HEX
     file.
     """
-    found = image or shipped_image()
-    if not found.is_file():
-        raise OperationError(f"{found}: no such firmware; `make firmware` builds it in a checkout")
+    path = image or image_path()
+    if not path.is_file():
+        raise OperationError(f"{path}: no such firmware; `make firmware` builds it in a checkout")
     try:
-        read_image(found)  # simavr would also run an incomplete file
+        read_image(path)  # simavr would also run an incomplete file
     except FileError as err:
         raise OperationError(str(err)) from err
     except OSError as err:
-        raise OperationError(f"{found}: {err.strerror}") from err
-    return found
+        raise OperationError(f"{path}: {err.strerror}") from err
+    return path

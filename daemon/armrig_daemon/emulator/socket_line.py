@@ -13,13 +13,13 @@ from armrig_core.access.emulator_socket import is_socket, lock_path, require_saf
 from armrig_core.errors import InputError, OperationError
 from armrig_core.process.waiting import Waiter
 
-from armrig_daemon.emulator.line import Line
+from armrig_daemon.emulator.line import EmulatedLine
 
 _MAX_PENDING_CONNECTIONS: Final = 8
 """Largest number of connections that wait to be accepted; the kernel refuses more."""
 
 
-class SocketLine(Line):
+class SocketLine(EmulatedLine):
     """A listening Unix socket, and the connection of the program that has the port open."""
 
     def __init__(self, path: Path, stack: ExitStack) -> None:
@@ -38,7 +38,7 @@ class SocketLine(Line):
             require_safe_folder(path)
         except InputError as err:
             raise OperationError(f"{port}: {err}") from err
-        if fault := _occupied(path):
+        if fault := _obstacle(path):
             raise OperationError(f"{port}: {fault}; choose another --port")
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
         os.close(os.open(lock_path(path), flags, 0o600))
@@ -119,7 +119,7 @@ class SocketLine(Line):
             self.fd = -1
 
 
-def _occupied(path: Path) -> str:
+def _obstacle(path: Path) -> str:
     """Return the reason why no socket may be created at `path`; "" if it may be created."""
     try:
         if not is_socket(path):

@@ -35,7 +35,7 @@ def estop(
     has opened it.
     """
     until_s = time.monotonic() + within_s
-    link = _opened(port, baud, time.monotonic() + port_wait_s)
+    link = _open_port(port, baud, time.monotonic() + port_wait_s)
     try:
         pending, has_to_hear, seq = b"", True, 0
         while (now_s := time.monotonic()) < until_s:
@@ -57,7 +57,7 @@ def estop(
         link.close()
 
 
-def _opened(port: str, baud: int, until_s: float) -> Link:
+def _open_port(port: str, baud: int, until_s: float) -> Link:
     """Open the port; if another program holds the port, try again until `until_s`."""
     while time.monotonic() < until_s:
         with contextlib.suppress(TakenPortError):

@@ -147,7 +147,7 @@ class SocketLink(Link):
         """Open the socket at `path` exclusively."""
         with contextlib.ExitStack() as stack:
             try:
-                connection = _connected(path, stack)
+                connection = _connect(path, stack)
             except OSError as err:
                 kind, reason = _socket_reason(port, err)
                 raise kind(f"{port} cannot be opened: {reason}") from err
@@ -163,7 +163,7 @@ class SocketLink(Link):
         self._held.close()
 
 
-def _connected(path: Path, stack: contextlib.ExitStack) -> socket.socket:
+def _connect(path: Path, stack: contextlib.ExitStack) -> socket.socket:
     """Lock the port and connect to its emulator; `stack` later closes the socket, then the lock."""
     try:
         require_safe_folder(path)

@@ -14,6 +14,7 @@ from armrig_protocol.messages import Flag
 from armrig_daemon.decisions import step
 from armrig_daemon.decisions.state import (
     Action,
+    DecisionState,
     Emit,
     Event,
     Exit,
@@ -23,11 +24,10 @@ from armrig_daemon.decisions.state import (
     Rules,
     Send,
     SetPeriod,
-    State,
     Tick,
     Wakeup,
 )
-from armrig_daemon.decisions.trace import VERSION, Chunk, Trace
+from armrig_daemon.decisions.trace import VERSION, Chunk, TraceBuffer
 from armrig_daemon.loop.meter import Meter, clock_record
 from armrig_daemon.loop.outbox import Outbox
 from armrig_daemon.loop.ports import Ports
@@ -43,14 +43,14 @@ class Loop:
     def __init__(self, rules: Rules, ports: Ports) -> None:
         """Set the first tick to one period from now."""
         self.ports = ports
-        self.state: State = step.start(rules)
+        self.state: DecisionState = step.start(rules)
         self.ended = False
         now = ports.now_ns()
-        self._pace = Pace(rules.ts_us * 1000, now + rules.ts_us * 1000, 0)
+        self._pace = TickSchedule(rules.ts_us * 1000, now + rules.ts_us * 1000, 0)
         self._k = 0  # next tick
         self._outbox = Outbox(ports)
         self._meter = Meter(now)
-        self._trace: Trace | None = None
+        self._trace: TraceBuffer | None = None
         self._late: list[Event] = []  # orders that came together with a missed deadline
 
     def run(self) -> None:
@@ -93,7 +93,7 @@ class Loop:
         now = self.ports.sleep_until(due_ns)
         k = self._pace.current(self._k, now)
         sched_ns = self._pace.due_ns(k)
-        self._meter.woke(now - due_ns, k - self._k, self._pace.period_ns)
+        self._meter.note_wake(now - due_ns, k - self._k, self._pace.period_ns)
         self._k = k + 1
         self._step(now, [Tick(k, sched_ns)])
         self._outbox.flush()
@@ -117,7 +117,7 @@ class Loop:
                 if failure is not None:
                     failures.append(failure)
             elif type(action) is RoundTrip:
-                self._meter.came_back(action.ns)
+                self._meter.note_round_trip(action.ns)
             elif type(action) is Publish:
                 self._publish(action.sample, action.queued)
             else:
@@ -138,9 +138,9 @@ class Loop:
         self._outbox.put_sample(sample)
         # Outside a run the host requests the samples, even if the device will pace the run.
         ts_ns = self.state.ts_us * 1000 if sample.flags & _RUN else self._pace.period_ns
-        self._meter.sampled(sample, ts_ns)
+        self._meter.note_sample(sample, ts_ns)
         if queued >= 0:
-            self._meter.queued(queued)
+            self._meter.note_queue(queued)
 
     def _do(self, action: Action, now_ns: int) -> None:
         """Carry out an action of the core that not every tick has."""
@@ -152,18 +152,18 @@ class Loop:
                 self._outbox.put(action.record)
                 if isinstance(action.record, RunStarted):
                     self._meter.forget_device()
-                    self._trace = Trace(self.state)
+                    self._trace = TraceBuffer(self.state)
                 elif isinstance(action.record, RunEnded):
                     self.ports.tidy()
             case SetPeriod():
                 self._k = action.k
-                self._pace = changed_pace(self._pace, self._k, action.period_us * 1000, now_ns)
+                self._pace = change_pace(self._pace, self._k, action.period_us * 1000, now_ns)
                 self._meter.forget_device()
             case Exit():
                 self.ended = True
 
 
-class Pace(NamedTuple):
+class TickSchedule(NamedTuple):
     """Tick `k` is due at `origin_ns + (k - k_origin) · period_ns`."""
 
     period_ns: int
@@ -183,11 +183,11 @@ class Pace(NamedTuple):
         return k + max(0, late // self.period_ns)
 
 
-def changed_pace(pace: Pace, k: int, period_ns: int, now_ns: int) -> Pace:
+def change_pace(pace: TickSchedule, k: int, period_ns: int, now_ns: int) -> TickSchedule:
     """Return a pace whose next tick is `k`; with an unchanged period the phase stays the same.
 
     With another period, tick `k` is one period from now.
     """
     if period_ns == pace.period_ns:
-        return Pace(period_ns, now_ns + (pace.origin_ns - now_ns) % period_ns, k)
-    return Pace(period_ns, now_ns + period_ns, k)
+        return TickSchedule(period_ns, now_ns + (pace.origin_ns - now_ns) % period_ns, k)
+    return TickSchedule(period_ns, now_ns + period_ns, k)

@@ -29,19 +29,19 @@ class Meter:
         self._wake, self._error, self._trip = Histogram(), Histogram(), Histogram()
         self._queue = Histogram()
 
-    def woke(self, late_ns: int, missed: int, period_ns: int) -> None:
+    def note_wake(self, late_ns: int, missed: int, period_ns: int) -> None:
         """Count one wake-up, and the ticks that were missed before it."""
         self._wake.add(late_ns, missed, period_ns)
 
-    def came_back(self, round_trip_ns: int) -> None:
+    def note_round_trip(self, round_trip_ns: int) -> None:
         """Count one round trip."""
         self._trip.add(round_trip_ns)
 
-    def queued(self, depth: int) -> None:
+    def note_queue(self, depth: int) -> None:
         """Count one observed length of the device's queue, in setpoints."""
         self._queue.add(depth)
 
-    def sampled(self, sample: Sample, ts_ns: int) -> None:
+    def note_sample(self, sample: Sample, ts_ns: int) -> None:
         """Count the deviation of the device's sampling interval from the sampling time."""
         last, self._device = self._device, (sample.k, sample.t_device_us, ts_ns)
         if last is not None and sample.k > last[0] and ts_ns == last[2]:
@@ -74,14 +74,14 @@ def clock_record(clock: ClockMap, now_ns: int) -> Clock | None:
     """Return the estimate of the device's clock, or None before the first exchange."""
     if not clock.weight:
         return None
-    known = estimate(clock)
+    clock_estimate = estimate(clock)
     return Clock(
         t_host_ns=now_ns,
-        offset_ns=known.offset_ns,
-        offset_std_ns=known.offset_std_ns,
-        drift_ppm=known.drift_ppm,
-        drift_std_ppm=known.drift_std_ppm,
-        bound_ns=known.bound_ns,
+        offset_ns=clock_estimate.offset_ns,
+        offset_std_ns=clock_estimate.offset_std_ns,
+        drift_ppm=clock_estimate.drift_ppm,
+        drift_std_ppm=clock_estimate.drift_std_ppm,
+        bound_ns=clock_estimate.bound_ns,
     )
 
 

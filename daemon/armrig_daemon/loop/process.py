@@ -42,7 +42,7 @@ _READ = 65536
 _MARGIN_NS = 90_000
 
 
-class Settings(msgspec.Struct, frozen=True, kw_only=True):
+class LoopSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Settings that the service passes to this program as an argument."""
 
     rules: Rules
@@ -56,7 +56,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 class ProcessPorts:
     """Ports of the real daemon: the monotonic clock, the serial line, the service's pipes."""
 
-    def __init__(self, settings: Settings, orders_fd: int, records_fd: int) -> None:
+    def __init__(self, settings: LoopSettings, orders_fd: int, records_fd: int) -> None:
         """Take the pipes and open the line if its port exists; raise LinkError if this fails."""
         self._settings = settings
         self._orders_fd = orders_fd
@@ -127,7 +127,7 @@ class ProcessPorts:
         try:
             self._link.write(data)
         except LinkError as err:
-            return self._lost(err)[0]
+            return self._drop_link(err)[0]
         return None
 
     def put(self, text: bytes) -> bool:
@@ -173,7 +173,7 @@ class ProcessPorts:
         self._link.watch(self._waiter)
         return [LinkUp()]
 
-    def _lost(self, err: OSError) -> list[Event]:
+    def _drop_link(self, err: OSError) -> list[Event]:
         if self._link is not None:
             self._waiter.forget(self._link.fd)
             self._link.close()
@@ -197,7 +197,7 @@ class ProcessPorts:
         try:
             data = self._link.read()
         except LinkError as err:
-            return self._lost(err)
+            return self._drop_link(err)
         return [Received(data)] if data else []
 
     def _read_orders(self) -> list[Event]:
@@ -219,7 +219,7 @@ def _line(level: str, message: str) -> bytes:
 def main(arguments: list[str]) -> int:
     """Run the loop with the pipes and the settings in the arguments; return the exit code."""
     orders_fd, records_fd = (int(text) for text in arguments[:2])
-    settings = msgspec.json.decode(arguments[2], type=Settings)
+    settings = msgspec.json.decode(arguments[2], type=LoopSettings)
     os.set_blocking(orders_fd, False)
     os.set_blocking(records_fd, False)
     try:

@@ -14,11 +14,18 @@ from typing import NamedTuple
 
 from armrig_core.access.access_control import MOST_BYTES, MOST_CALIBRATION_BYTES
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.commands.commands import REQUESTS, Calibrate, Leased, Refused, RunOptions, refused
+from armrig_core.commands.commands import (
+    REQUESTS,
+    CalibrateRequest,
+    LeasedRequest,
+    Refused,
+    RunOptions,
+    build_refusal,
+)
 
 from armrig_daemon.decisions.orders import NOT_HELD
 
-LEASED = frozenset(name for name, kind in REQUESTS.items() if issubclass(kind, Leased))
+LEASED = frozenset(name for name, kind in REQUESTS.items() if issubclass(kind, LeasedRequest))
 """Names of the commands that contain a lease."""
 RUNS = frozenset(name for name, kind in REQUESTS.items() if issubclass(kind, RunOptions))
 """Names of the commands that begin a run."""
@@ -37,11 +44,11 @@ def refusal(name: str, payload: bytes, lease: bytes) -> Refused | None:
     therefore not from the holder.
     """
     if name in LEASED and not (lease and lease in payload):
-        return refused(RefusalCode.NOT_HELD, NOT_HELD)
-    most = MOST_CALIBRATION_BYTES if name == Calibrate.name else MOST_BYTES
+        return build_refusal(RefusalCode.NOT_HELD, NOT_HELD)
+    most = MOST_CALIBRATION_BYTES if name == CalibrateRequest.name else MOST_BYTES
     if name not in RUNS and len(payload) > most:
         text = f"{name}: {len(payload)} B, at most {most} B are allowed"
-        return refused(RefusalCode.TOO_LONG, text, bytes=len(payload), most_bytes=most)
+        return build_refusal(RefusalCode.TOO_LONG, text, bytes=len(payload), most_bytes=most)
     return None
 
 
@@ -62,4 +69,4 @@ def take(bucket: Bucket, now_s: float, per_s: float, burst: float) -> Bucket | N
 def too_many(name: str) -> Refused:
     """Return the refusal of a query beyond the limit."""
     text = f"{name}: too many queries, at most {PER_S} a second are answered: try again"
-    return refused(RefusalCode.TOO_MANY, text, per_s=PER_S)
+    return build_refusal(RefusalCode.TOO_MANY, text, per_s=PER_S)

@@ -15,7 +15,7 @@ from armrig_daemon.config import Config
 _MAX_CHARACTERS = 80  # of a name or a date
 
 
-def checked_calibration(
+def check_calibration(
     calibration: Calibration,
     raw: bytes,
     config: Config,

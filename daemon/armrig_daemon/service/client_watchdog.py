@@ -11,7 +11,7 @@ from math import inf
 from typing import NamedTuple
 
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.commands.commands import CommandRefusedError, Renew, RunOptions, refused
+from armrig_core.commands.commands import CommandRefusedError, Renew, RunOptions, build_refusal
 
 from armrig_daemon.decisions import orders
 
@@ -33,7 +33,7 @@ class ClientWatchdog(NamedTuple):
         return self.heard_s + self.period_s
 
 
-def begun(run: RunOptions, now_s: float) -> ClientWatchdog:
+def begin_watch(run: RunOptions, now_s: float) -> ClientWatchdog:
     """Return the watchdog at the start of a run; the start is the first sign of life."""
     return ClientWatchdog(run.lease, run.n, run.dead_man or inf, now_s)
 
@@ -41,10 +41,10 @@ def begun(run: RunOptions, now_s: float) -> ClientWatchdog:
 def not_newer(n: int, last: int) -> CommandRefusedError:
     """Return the refusal of a command whose number does not exceed the last number."""
     text = orders.not_newer(n, last)
-    return CommandRefusedError(refused(RefusalCode.NOT_NEWER, text, n=n, last=last))
+    return CommandRefusedError(build_refusal(RefusalCode.NOT_NEWER, text, n=n, last=last))
 
 
-def renewed(presence: ClientWatchdog | None, sign: Renew, now_s: float) -> ClientWatchdog:
+def renew_watch(presence: ClientWatchdog | None, sign: Renew, now_s: float) -> ClientWatchdog:
     """Return the watchdog after a sign of life.
 
     Raises CommandRefusedError if there is no run, the run belongs to another client, or the sign of
@@ -52,7 +52,7 @@ def renewed(presence: ClientWatchdog | None, sign: Renew, now_s: float) -> Clien
     """
     if presence is None or sign.lease != presence.lease:
         text = "no run of this lease is planned or running"
-        raise CommandRefusedError(refused(RefusalCode.NOT_HELD, text))
+        raise CommandRefusedError(build_refusal(RefusalCode.NOT_HELD, text))
     if sign.n <= presence.n:
         raise not_newer(sign.n, presence.n)
     return presence._replace(n=sign.n, heard_s=now_s)

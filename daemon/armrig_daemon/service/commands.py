@@ -28,34 +28,34 @@ from armrig_daemon.decisions.budget import check
 from armrig_daemon.decisions.state import Phase
 from armrig_daemon.pipe import Alive, Answer, Calibrate, Leased, Orders, Reset
 from armrig_daemon.service.admission import RUNS, Bucket, take
-from armrig_daemon.service.calibration import checked_calibration
+from armrig_daemon.service.calibration import check_calibration
 from armrig_daemon.service.client_watchdog import not_newer
 from armrig_daemon.service.host.child import LoopChild
 from armrig_daemon.service.host.planner import Job
 from armrig_daemon.service.host.worker import Worker
 from armrig_daemon.service.listener import Command
-from armrig_daemon.service.plan import checked
+from armrig_daemon.service.plan import check_voltages
 from armrig_daemon.service.preparation import UNTIMED_S, Preparation
-from armrig_daemon.service.publish import TOO_MANY, Kind, Session
+from armrig_daemon.service.publish import TOO_MANY, CommandKind, Session
 from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs
 
 ANSWER_S = 3.0
 """Longest time for the loop to answer a command, in s."""
-_SILENT = commands.refused(
+_SILENT = commands.build_refusal(
     RefusalCode.NO_ANSWER,
     f"the loop did not answer within {ANSWER_S:g} s: try again, or restart armrigd",
 )
-_SLOW_DISK = commands.refused(
+_SLOW_DISK = commands.build_refusal(
     RefusalCode.NO_ROOM,
     f"the disk of the recordings did not answer within {ANSWER_S:g} s: arm again when it does, or "
     "set [recording] directory to another disk",
 )
-_EXPIRED = commands.refused(
+_EXPIRED = commands.build_refusal(
     RefusalCode.EXPIRED,
     "the command came too late, because its client no longer waited for the reply: send it again",
 )
-_NOT_HELD = commands.refused(RefusalCode.NOT_HELD, orders.NOT_HELD)
+_NOT_HELD = commands.build_refusal(RefusalCode.NOT_HELD, orders.NOT_HELD)
 _SOMEBODY = "somebody on this machine"
 _MAX_COMMANDS = 16  # commands of a kind in a row; then the loop and the run's client are checked
 _MAX_PENDING = 16  # unanswered orders; at this number, arm, reset and calibrate are refused
@@ -119,7 +119,7 @@ class Commands:
         self._note = note
         self._notes = Bucket(_MAX_NOTES)
         self._waiting: dict[int, _Waiting] = {}
-        self._calibration: tuple[int, commands.Calibrate] | None = None  # not yet accepted
+        self._calibration: tuple[int, commands.CalibrateRequest] | None = None  # not yet accepted
         self._numbers = 0
         self._Ts = config.ts_us / 1e6  # of the newest lease
         self._lease = ""
@@ -145,16 +145,16 @@ class Commands:
 
     def serve_signs(self) -> None:
         """Handle the signs of life of the run's client, each with its time of arrival."""
-        for command in self._session.waiting(Kind.SIGN):
+        for command in self._session.waiting(CommandKind.SIGN):
             self._try(command)
 
     def serve(self) -> None:
         """Handle some of the waiting commands, a stop before all others."""
-        for command in self._session.waiting(Kind.STOP, self.room):
+        for command in self._session.waiting(CommandKind.STOP, self.room):
             self._try(command)
-        for command in self._session.waiting(Kind.LEASED, min(_MAX_COMMANDS, self.room)):
+        for command in self._session.waiting(CommandKind.LEASED, min(_MAX_COMMANDS, self.room)):
             self._try(command)
-        for kind in (Kind.STATUS, Kind.CALIBRATE, Kind.OTHER):
+        for kind in (CommandKind.STATUS, CommandKind.CALIBRATE, CommandKind.OTHER):
             for command in self._session.waiting(kind, _MAX_COMMANDS):
                 self._try(command)
         self._disk.hand_back()
@@ -162,7 +162,7 @@ class Commands:
             self._go_on()
         except Exception as err:  # such as too many threads
             text = f"run: {err!r}"
-            self._preparation.cancel(commands.refused(RefusalCode.INTERNAL, text))
+            self._preparation.cancel(commands.build_refusal(RefusalCode.INTERNAL, text))
             self._say("error", text)
 
     def _go_on(self) -> None:
@@ -201,7 +201,7 @@ class Commands:
         if waiting is None:
             return  # too late: the client has been refused already
         if answer.code is not None:
-            refusal = commands.refused(answer.code, answer.error, **answer.parameters)
+            refusal = commands.build_refusal(answer.code, answer.error, **answer.parameters)
             self._give_up(waiting, refusal)
             return
         if isinstance(waiting.order, pipe.Arm):
@@ -246,84 +246,84 @@ class Commands:
         except CommandRefusedError as err:
             command.refuse(err.refusal)
         except ValueError as err:
-            command.refuse(commands.refused(RefusalCode.NOT_ALLOWED, str(err)))
+            command.refuse(commands.build_refusal(RefusalCode.NOT_ALLOWED, str(err)))
         except Exception as err:
             text = f"{command.name}: {err!r}"
-            command.refuse(commands.refused(RefusalCode.INTERNAL, text))
+            command.refuse(commands.build_refusal(RefusalCode.INTERNAL, text))
             self._say("error", text)
 
     def _carry_out(self, command: Command, request: commands.Requests) -> None:
         """Pass a request to the loop; raise ValueError if the request is not allowed."""
-        if isinstance(request, commands.Leased):
+        if isinstance(request, commands.LeasedRequest):
             if command.by != self._holder.by:
                 raise CommandRefusedError(_NOT_HELD)
-            if not isinstance(request, commands.Disarm):  # which may come late, as a stop
+            if not isinstance(request, commands.DisarmRequest):  # which may come late, as a stop
                 self._check_time(command, request.valid_until_ns)
         match request:
             case commands.Status():
                 command.answer(self._rig.status(self._runs.last))
-            case commands.Arm():
+            case commands.ArmRequest():
                 self._arm(command, request)
-            case commands.Disarm():
+            case commands.DisarmRequest():
                 self._order(command, pipe.Disarm(lease=request.lease, n=request.n))
                 self.cancel("the rig was disarmed")
-            case commands.Set():
-                (volts,) = checked([request.u], replace(self._config.limits, slew_v=0.0))
+            case commands.SetRequest():
+                (volts,) = check_voltages([request.u], replace(self._config.limits, slew_v=0.0))
                 code = code_of(volts)
                 self._order(command, pipe.Set(lease=request.lease, n=request.n, code=code))
-            case commands.SetReference():
+            case commands.SetReferenceRequest():
                 order = pipe.SetReference(lease=request.lease, n=request.n, r=request.r)
                 self._order(command, order)
             case commands.Renew():
                 self._renew(command, request)
-            case commands.Stop():
-                who = signed(request.by, command.by)
+            case commands.StopRequest():
+                who = display_name(request.by, command.by)
                 halt = pipe.Stop(reason=f"stopped by {who}") if who else pipe.Stop()
                 self._order(command, halt, who=who)
                 self.cancel(f"stopped by {who}" if who else "stopped")
-            case commands.Note():
+            case commands.NoteRequest():
                 self._take_note(command, request)
-            case commands.Reset():
+            case commands.ResetRequest():
                 self._require(command, "fault", request.fault, self._rig.state.fault)
                 self._check_time(command, request.valid_until_ns)
                 self._order(command, Reset())
                 self.cancel("reset")
-            case commands.Calibrate():
+            case commands.CalibrateRequest():
                 self._calibrate(command, request)
-            case commands.Run() | commands.Control():
+            case commands.RunRequest() | commands.ControlRequest():
                 raise AssertionError  # `_prepare` has taken it
             case _:
                 assert_never(request)
 
-    def _take_note(self, command: Command, request: commands.Note) -> None:
+    def _take_note(self, command: Command, request: commands.NoteRequest) -> None:
         """Publish and record a note, which never reaches the loop and cannot affect the motor."""
         left = take(self._notes, time.monotonic(), _NOTES_PER_S, _MAX_NOTES)
         if left is None:
             text = f"too many notes, at most {_NOTES_PER_S:g} a second are accepted: try again"
             raise CommandRefusedError(
-                commands.refused(RefusalCode.TOO_MANY, text, per_s=_NOTES_PER_S)
+                commands.build_refusal(RefusalCode.TOO_MANY, text, per_s=_NOTES_PER_S)
             )
         self._notes = left
-        who = signed(request.owner, command.by) or _SOMEBODY
+        who = display_name(request.owner, command.by) or _SOMEBODY
         self._note(round(command.came_s * 1e9), request.text, who)
         command.answer(commands.Done(done=self._runs.takes_notes))
 
-    def _calibrate(self, command: Command, request: commands.Calibrate) -> None:
+    def _calibrate(self, command: Command, request: commands.CalibrateRequest) -> None:
         """Pass a calibration to the loop, without its field `made`."""
         if self._calibration is not None:
             text = "another calibration is on its way: try again"
-            raise CommandRefusedError(commands.refused(RefusalCode.TOO_MANY, text))
+            raise CommandRefusedError(commands.build_refusal(RefusalCode.TOO_MANY, text))
         now = self._rig.calibration_sha256
         self._require(command, "replaces", request.replaces, now)
         self._check_time(command, request.valid_until_ns)
         device = self._rig.state.device
-        checked = checked_calibration(
+        checked = check_calibration(
             request.calibration, request.raw, self._config, device, self._rig.description
         )
         self._order(command, Calibrate(calibration=replace(checked, made=None)))
         self._calibration = self._numbers, replace(request, calibration=checked)
 
-    def _note_calibration(self, request: commands.Calibrate) -> None:
+    def _note_calibration(self, request: commands.CalibrateRequest) -> None:
         """Report a calibration that the loop has accepted, and record it with the next runs."""
         self._rig.note_calibration(request.calibration)
         self._runs.note_calibration(request.calibration, request.raw)
@@ -334,12 +334,14 @@ class Commands:
         """Return the service's refusal of an arming, or None if the service permits the arming."""
         owner = self._rig.state.owner
         if owner:
-            return commands.refused(RefusalCode.HELD, orders.held_by(owner), owner=owner)
+            return commands.build_refusal(
+                RefusalCode.HELD, orders.holder_sentence(owner), owner=owner
+            )
         if line := self._rig.line:
-            return commands.refused(RefusalCode.NO_RIG, line)
+            return commands.build_refusal(RefusalCode.NO_RIG, line)
         return self._rig.objection()
 
-    def _arm(self, command: Command, request: commands.Arm) -> None:
+    def _arm(self, command: Command, request: commands.ArmRequest) -> None:
         """Arm the rig after a look at the disk, if the client still waits then."""
         if objection := self._objection():
             raise CommandRefusedError(objection)
@@ -348,7 +350,7 @@ class Commands:
         if self._disk.waiting > _MOST_WAITING:
             raise CommandRefusedError(_SLOW_DISK)
         lease, ts_us = secrets.token_hex(16), self._ts_us(request.Ts)
-        owner = signed(request.owner, command.by)
+        owner = display_name(request.owner, command.by)
         order = pipe.Arm(owner=owner, lease=lease, ts_us=ts_us, owner_checked=command.by)
 
         def then(no_room: commands.Refused | Exception | None) -> None:
@@ -356,7 +358,7 @@ class Commands:
                 return  # refused meanwhile
             self._arming = None
             if isinstance(no_room, Exception):
-                no_room = commands.refused(RefusalCode.INTERNAL, f"arm: {no_room!r}")
+                no_room = commands.build_refusal(RefusalCode.INTERNAL, f"arm: {no_room!r}")
             try:
                 if objection := no_room or self._objection():
                     raise CommandRefusedError(objection)
@@ -372,7 +374,7 @@ class Commands:
         if not self._lease or command.by != self._holder.by:
             raise CommandRefusedError(_NOT_HELD)
         if self._rig.state.phase == Phase.ACTIVE and self._runs.is_idle:
-            raise CommandRefusedError(commands.refused(RefusalCode.BY_HAND, orders.BY_HAND))
+            raise CommandRefusedError(commands.build_refusal(RefusalCode.BY_HAND, orders.BY_HAND))
         config, start_rad = self._runs.config, self._rig.start_rad
         job = Job(0, command.payload, self._Ts, config, start_rad, command.name)
         self._preparation.begin(command, job)
@@ -392,13 +394,13 @@ class Commands:
     def cancel(self, why: str) -> None:
         """Refuse the run in preparation, if there is one."""
         text = f"the run did not begin: {why}"
-        self._preparation.cancel(commands.refused(RefusalCode.CANCELLED, text))
+        self._preparation.cancel(commands.build_refusal(RefusalCode.CANCELLED, text))
 
     def _check_time(self, command: Command, valid_until_ns: int | None) -> None:
         """Raise CommandRefusedError if the client of a command has given up."""
         if valid_until_ns is None and command.by:
             text = f"{command.name}: valid_until_ns is missing: install a newer armrig"
-            raise CommandRefusedError(commands.refused(RefusalCode.EXPIRED, text))
+            raise CommandRefusedError(commands.build_refusal(RefusalCode.EXPIRED, text))
         late_s = time.monotonic() - command.came_s - UNTIMED_S if valid_until_ns is None else 0.0
         if late_s > 0 or self._is_expired(valid_until_ns):
             raise CommandRefusedError(_EXPIRED)
@@ -415,7 +417,7 @@ class Commands:
             text += ": look at `armrig status`, then repeat the command"
         else:
             return
-        raise CommandRefusedError(commands.refused(RefusalCode.EXPIRED, text))
+        raise CommandRefusedError(commands.build_refusal(RefusalCode.EXPIRED, text))
 
     def _ts_us(self, Ts: float | None) -> int:
         """Return the requested sampling time, in µs; 0 for the configured sampling time."""
@@ -432,7 +434,7 @@ class Commands:
     ) -> None:
         """Send an order to the loop; the loop's answer becomes the answer to the command."""
         if who is None:
-            who = self._holder.owner if isinstance(order, Leased) else signed("", command.by)
+            who = self._holder.owner if isinstance(order, Leased) else display_name("", command.by)
         if len(self._waiting) >= _MAX_PENDING and isinstance(order, pipe.Arm | Reset | Calibrate):
             raise CommandRefusedError(TOO_MANY)
         self._numbers += 1
@@ -442,16 +444,16 @@ class Commands:
         self._loop.order(order)
 
 
-def signed(said: str, by: str) -> str:
+def display_name(claim: str, by: str) -> str:
     """Return a client's name for people; the daemon has checked the part in round brackets.
 
     Programs read the checked identity from `owner_checked` in the status, the log and the manifest.
 
-    `said` is the name that the client gives; round brackets in it become square brackets. `by` is
+    `claim` is the name that the client gives; round brackets in it become square brackets. `by` is
     the checked identity, such as `certificate alice`; "" on the Unix socket, where the daemon
     trusts every client that may open the socket.
     """
-    begin = said.strip()[:_MAX_NAME_CHARACTERS]  # the rest of a very long name would delay a stop
+    begin = claim.strip()[:_MAX_NAME_CHARACTERS]  # the rest of a very long name would delay a stop
     name = "".join(map(_square, printable(begin).strip()[:_MAX_NAME_CHARACTERS]))
     if not by:
         return name

@@ -21,13 +21,20 @@ from armrig_core.access.owned_session import (
     NOT_FOUND,
     group_may_open,
     listening,
-    owned_session,
+    session_configuration,
     strangers,
     transport,
 )
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.commands.commands import REQUESTS, Refused, Renew, Stop, json_schema, refused
-from armrig_core.rig.channels import Channel
+from armrig_core.commands.commands import (
+    REQUESTS,
+    Refused,
+    Renew,
+    StopRequest,
+    build_refusal,
+    json_schema,
+)
+from armrig_core.rig.channels import DeviceChannel
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.channels import CHANNELS
 from armrig_core.telemetry.history import HistoryRequest
@@ -43,7 +50,7 @@ from armrig_core.telemetry.topics import (
 from armrig_daemon.service import admission
 from armrig_daemon.service.access import Network
 
-URGENT = (Stop.name, Renew.name)
+URGENT = (StopRequest.name, Renew.name)
 """Commands with a separate thread of zenoh, so that they wait for no other command."""
 _SCHEMA, _HISTORY = "schema", "history"
 _COUNTED = (*REQUESTS, _SCHEMA, _HISTORY)
@@ -58,9 +65,9 @@ def session_config(endpoint: str, network: Network | None = None) -> zenoh.Confi
     if network is not None and network.is_router:
         return zenoh.Config.from_json5(json.dumps(_router_config(network)))
     if network is None:
-        config = owned_session(endpoint, most_received=access_control.MOST_LOCAL_BYTES)
+        config = session_configuration(endpoint, most_received=access_control.MOST_LOCAL_BYTES)
     else:
-        config = owned_session(endpoint, most_received=access_control.MOST_MESSAGE_BYTES)
+        config = session_configuration(endpoint, most_received=access_control.MOST_MESSAGE_BYTES)
         config |= listening(endpoint)
         config["transport"]["unicast"] = strangers(MAX_LINKS)
         config["access_control"] = network.access_control
@@ -120,7 +127,7 @@ class Listener:
         admit: Callable[[Command], None],
         past: Callable[[int, int], bytes],
         network: Network | None = None,
-        channels: tuple[Channel, ...] = CHANNELS,
+        channels: tuple[DeviceChannel, ...] = CHANNELS,
     ) -> None:
         """Listen at the endpoint, or connect to the router.
 
@@ -196,7 +203,7 @@ class Listener:
             asked = msgspec.json.decode(payload, type=HistoryRequest)
         except (msgspec.DecodeError, UnicodeDecodeError) as err:
             text = f'history: {err}; ask with {{"first": 0}}'
-            _refuse(query, refused(RefusalCode.NOT_ALLOWED, text))
+            _refuse(query, build_refusal(RefusalCode.NOT_ALLOWED, text))
             return
         offset_ns = time.time_ns() - time.monotonic_ns()
         reply = self._past(asked.first, offset_ns)

@@ -21,9 +21,9 @@ from armrig_core.commands.commands import (
     Rehearsal,
     RunOptions,
     Volts,
+    build_refusal,
     check_details,
     decode,
-    refused,
 )
 from armrig_core.control.control_law import ControlLaw
 from armrig_core.errors import InputError, OperationError
@@ -41,7 +41,7 @@ _VOLTAGES = msgspec.json.Decoder(list[Volts])
 _NUMBERS = msgspec.json.Decoder(list[float])
 
 
-class Plan(NamedTuple):
+class RunPlan(NamedTuple):
     """A run that may begin."""
 
     options: RunOptions
@@ -61,13 +61,13 @@ class Plan(NamedTuple):
     """Least and largest value of the reference of a law."""
 
 
-class _Request(RunOptions, frozen=True, kw_only=True):
+class _UndecodedRun(RunOptions, frozen=True, kw_only=True):
     """Command `run` whose input is not decoded yet."""
 
     u: msgspec.Raw
 
 
-class _ControlRequest(ControlOptions, frozen=True, kw_only=True):
+class _UndecodedControl(ControlOptions, frozen=True, kw_only=True):
     """Command `control` whose reference is not decoded yet."""
 
     reference: msgspec.Raw
@@ -78,7 +78,7 @@ def decode_run(payload: bytes | bytearray) -> tuple[RunOptions, NDArray[np.float
 
     Raises InputError if the payload is not allowed, as `armrig_core.commands.commands.parse` does.
     """
-    request = decode(RunOptions.name, payload, _Request)
+    request = decode(RunOptions.name, payload, _UndecodedRun)
     check_details(request.details)
     return options_of(request), _vector("run", "u", request.u, _VOLTAGES, MOST_SAMPLES)
 
@@ -90,7 +90,7 @@ def decode_control(
 
     Raises InputError as `decode_run` does.
     """
-    request = decode(ControlOptions.name, payload, _ControlRequest)
+    request = decode(ControlOptions.name, payload, _UndecodedControl)
     check_details(request.details)
     r = _vector("control", "reference", request.reference, _NUMBERS, MOST_REFERENCES)
     return request, r
@@ -140,7 +140,7 @@ def make_plan(
     config: Config,
     description: Description,
     start_rad: float | None = None,
-) -> Plan:
+) -> RunPlan:
     """Return the plan of a run.
 
     `u` is the input (N,) in V, `Ts` the sampling time of the lease in s, and `start_rad` the angle
@@ -148,10 +148,10 @@ def make_plan(
 
     Raises InputError if a voltage or the rehearsal is outside the limits.
     """
-    volts = checked(u, config.limits, description.input.rest_v)
+    volts = check_voltages(u, config.limits, description.input.rest_v)
     rehearsal = config.rehearsal(volts, Ts, description, start_rad)
     source = b"".join(map(codes_of, _blocks(volts)))
-    return _planned(options, source, one_a_line(_blocks(volts)), volts.size, rehearsal)
+    return _build_plan(options, source, one_a_line(_blocks(volts)), volts.size, rehearsal)
 
 
 def make_control_plan(
@@ -161,7 +161,7 @@ def make_control_plan(
     config: Config,
     description: Description,
     start_rad: float | None = None,
-) -> Plan:
+) -> RunPlan:
     """Return the plan of a run in control.
 
     `r` is the reference (N,) in the unit of the law; the other arguments are those of `make_plan`.
@@ -175,7 +175,7 @@ def make_control_plan(
         # The lease of `set` is shorter than any dead-man. No model knows the client's voltages.
         options = replace(options_of(request), dead_man=None)
         source, text = reference.astype("<f8").tobytes(), one_a_line(_blocks(reference), "r")
-        plan = _planned(options, source, text, reference.size, None)
+        plan = _build_plan(options, source, text, reference.size, None)
         return plan._replace(law=None)
     law.check_rig(description, round(Ts * 1e6), limits.u_min_v, limits.u_max_v)
     law.check_reference(reference.tolist())
@@ -190,15 +190,15 @@ def make_control_plan(
     )
     source = reference.astype("<f8").tobytes()
     text = one_a_line(_blocks(reference), f"r_{law.reference.name}")
-    plan = _planned(options_of(request), source, text, reference.size, rehearsal)
+    plan = _build_plan(options_of(request), source, text, reference.size, rehearsal)
     r_range = float(reference.min()), float(reference.max())
     return plan._replace(law=law, r_range=r_range)
 
 
-def _planned(
+def _build_plan(
     options: RunOptions, source: bytes, text: bytes, samples: int, rehearsal: Rehearsal | None
-) -> Plan:
-    return Plan(
+) -> RunPlan:
+    return RunPlan(
         options=options,
         samples=samples,
         source=source,
@@ -222,7 +222,7 @@ def plan_of(
     start_rad: float | None = None,
     tell: Callable[[RunOptions], object] = lambda options: None,
     command: str = RunOptions.name,
-) -> Plan | Refused:
+) -> RunPlan | Refused:
     """Return the plan of a command `run` or `control`, or the refusal; see `make_plan`.
 
     `command` is the name of the command. `payload` returns the command, which may have 80 MB and is
@@ -238,9 +238,9 @@ def plan_of(
         tell(options)
         return make_plan(options, u, Ts, config, description, start_rad)
     except (ValueError, OperationError) as err:
-        return refused(RefusalCode.NOT_ALLOWED, str(err))
+        return build_refusal(RefusalCode.NOT_ALLOWED, str(err))
     except Exception as err:
-        return refused(RefusalCode.INTERNAL, f"{command}: {err!r}")
+        return build_refusal(RefusalCode.INTERNAL, f"{command}: {err!r}")
 
 
 def one_a_line(blocks: Iterable[list[float]], heading: str = "u_v") -> bytes:
@@ -250,7 +250,7 @@ def one_a_line(blocks: Iterable[list[float]], heading: str = "u_v") -> bytes:
     return heading.encode() + b"\n" + b"\n".join(texts) + b"\n"
 
 
-def checked(u: ArrayLike, limits: Limits, rest_v: float = 0.0) -> NDArray[np.float64]:
+def check_voltages(u: ArrayLike, limits: Limits, rest_v: float = 0.0) -> NDArray[np.float64]:
     """Return the voltages of an experiment, (N,) in V; the first step is from `rest_v`.
 
     Raises InputError if a voltage is outside the limits, or a step is too large; the message names

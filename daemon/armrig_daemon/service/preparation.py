@@ -16,14 +16,14 @@ from armrig_core.commands.commands import (
     Renew,
     RunAccepted,
     RunOptions,
-    refused,
+    build_refusal,
 )
 
 from armrig_daemon import pipe
 from armrig_daemon.service.client_watchdog import not_newer
 from armrig_daemon.service.host.planner import Job, Planner
 from armrig_daemon.service.listener import Command
-from armrig_daemon.service.plan import Plan
+from armrig_daemon.service.plan import RunPlan
 from armrig_daemon.service.runs import Runs
 
 UNTIMED_S = 10.0
@@ -40,7 +40,7 @@ class Ready(NamedTuple):
     valid_until_ns: int | None
 
 
-class _Asked(NamedTuple):
+class _PendingRun(NamedTuple):
     command: Command
     number: int
     Ts: float
@@ -59,7 +59,7 @@ class Preparation:
     def __init__(self, runs: Runs, planner: Planner) -> None:
         """Prepare nothing yet."""
         self._runs, self._planner = runs, planner
-        self._asked: _Asked | None = None
+        self._asked: _PendingRun | None = None
         self._numbers = 0
 
     @property
@@ -71,12 +71,12 @@ class Preparation:
         """Prepare the run that a command requests; the job's number is set here."""
         if self._asked is not None:
             text = "another run is being prepared: stop it first, or wait for its end"
-            raise CommandRefusedError(refused(RefusalCode.RUNNING, text))
+            raise CommandRefusedError(build_refusal(RefusalCode.RUNNING, text))
         if objection := self._runs.objection():
             raise CommandRefusedError(objection)
         self._runs.is_expected = True
         self._numbers += 1
-        self._asked = _Asked(command, self._numbers, job.Ts)
+        self._asked = _PendingRun(command, self._numbers, job.Ts)
         self._planner.plan(job._replace(number=self._numbers))
 
     def renew(self, sign: Renew) -> None:
@@ -108,15 +108,15 @@ class Preparation:
                     return None
                 if isinstance(plan, Refused):
                     raise CommandRefusedError(plan)
-                asked = self._opened(asked, plan)
-            if asked.ready is None or not self._runs.opened():
+                asked = self._open_run(asked, plan)
+            if asked.ready is None or not self._runs.is_file_ready():
                 return None
             return asked.ready._replace(valid_until_ns=asked.valid_until_ns)
         except CommandRefusedError as err:
             self.cancel(err.refusal)
             return None
 
-    def _opened(self, asked: _Asked, plan: Plan) -> _Asked:
+    def _open_run(self, asked: _PendingRun, plan: RunPlan) -> _PendingRun:
         order, accepted = self._runs.open(plan, asked.Ts)
         until_ns = asked.valid_until_ns or plan.options.valid_until_ns
         options = plan.options

@@ -13,9 +13,15 @@ from typing import Self
 
 import zenoh
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.commands.commands import Calibrate, Renew, Status, Stop, refused
+from armrig_core.commands.commands import (
+    CalibrateRequest,
+    Renew,
+    Status,
+    StopRequest,
+    build_refusal,
+)
 from armrig_core.errors import OperationError
-from armrig_core.rig.channels import Channel
+from armrig_core.rig.channels import DeviceChannel
 from armrig_core.telemetry.channels import CHANNELS
 from armrig_core.telemetry.history import REPLY_LIMIT, encode_past
 
@@ -25,7 +31,7 @@ from armrig_daemon.service.listener import Command, Listener
 from armrig_daemon.service.sentences import endpoint_error, network_error
 from armrig_daemon.service.uplink import Uplink
 
-TOO_MANY = refused(RefusalCode.TOO_MANY, "too many commands are waiting: try again")
+TOO_MANY = build_refusal(RefusalCode.TOO_MANY, "too many commands are waiting: try again")
 """Refusal of a command whose queue is full."""
 MAX_DELETED = 8
 """Largest number of deleted sockets whose sessions stay open for the connected clients."""
@@ -38,24 +44,24 @@ class NetworkError(OperationError):
     """The service cannot listen at the endpoint of a network; the message contains the reason."""
 
 
-class Kind(Enum):
+class CommandKind(Enum):
     """Kind of a command; a command waits only for commands of its own kind."""
 
-    STOP = Stop.name
+    STOP = StopRequest.name
     SIGN = Renew.name
     STATUS = Status.name
     LEASED = "leased"
     """Commands of the holder except the signs of life, which are a separate kind."""
-    CALIBRATE = Calibrate.name
+    CALIBRATE = CalibrateRequest.name
     """Large and rare commands, of which at most one waits."""
     OTHER = "other"
 
 
-def kind_of(name: str) -> Kind:
+def kind_of(name: str) -> CommandKind:
     """Return the kind of a command; an unknown command is of the kind OTHER."""
-    if name in (Stop.name, Renew.name, Status.name, Calibrate.name):
-        return Kind(name)
-    return Kind.LEASED if name in admission.LEASED else Kind.OTHER
+    if name in (StopRequest.name, Renew.name, Status.name, CalibrateRequest.name):
+        return CommandKind(name)
+    return CommandKind.LEASED if name in admission.LEASED else CommandKind.OTHER
 
 
 class Session:
@@ -68,7 +74,7 @@ class Session:
         wake: Callable[[], None],
         network: Network | None = None,
         router: Network | None = None,
-        channels: tuple[Channel, ...] = CHANNELS,
+        channels: tuple[DeviceChannel, ...] = CHANNELS,
     ) -> None:
         """Listen; zenoh's threads call `wake` when a command has arrived.
 
@@ -81,8 +87,8 @@ class Session:
         """
         self.lease = b""  # lease in force; with b"", no command with a lease is admitted
         self._waiting = {
-            kind: queue.Queue[Command](1 if kind is Kind.CALIBRATE else MAX_WAITING)
-            for kind in Kind
+            kind: queue.Queue[Command](1 if kind is CommandKind.CALIBRATE else MAX_WAITING)
+            for kind in CommandKind
         }
         self._wake = wake
         self._history = History(secrets.token_bytes(16))
@@ -151,7 +157,7 @@ class Session:
             self.uplink.put(stream, data)
         self._history.add(stream, data)
 
-    def waiting(self, kind: Kind, most: int = MAX_WAITING) -> Iterator[Command]:
+    def waiting(self, kind: CommandKind, most: int = MAX_WAITING) -> Iterator[Command]:
         """Iterate over the waiting commands of a kind, at most `most`."""
         with contextlib.suppress(queue.Empty):
             for _ in range(most):

@@ -14,8 +14,8 @@ from math import isnan
 from typing import NamedTuple
 
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.commands.commands import Refused, refused
-from armrig_core.rig.channels import HALF_COUNTS, Channel
+from armrig_core.commands.commands import Refused, build_refusal
+from armrig_core.rig.channels import HALF_COUNTS, DeviceChannel
 from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Flag
 
@@ -30,7 +30,7 @@ APART_S = 0.2
 _RAILS = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)
 
 
-class Readings(NamedTuple):
+class ReadingSummary(NamedTuple):
     """Summary of the samples so far."""
 
     newest: Sample | None = None
@@ -44,7 +44,7 @@ class Readings(NamedTuple):
     """Integral of the voltage above `FRICTION_V` since the last change of position, in Vs."""
 
 
-def updated(before: Readings, sample: Sample, turning: int = 0) -> Readings:
+def update_readings(before: ReadingSummary, sample: Sample, turning: int = 0) -> ReadingSummary:
     """Return the summary updated by a new sample; `turning` is the channel of the turning shaft."""
     last, now_ns = before.newest, sample.t_host_ns
     reading = sample.counts_1 if turning else sample.counts_0
@@ -55,23 +55,23 @@ def updated(before: Readings, sample: Sample, turning: int = 0) -> Readings:
     )
     least, greatest = min(before.least, reading), max(before.greatest, reading)
     if last is None or greatest - least > STILL_COUNTS:
-        return Readings(sample, inside_ns, reading, reading, 0.0)
+        return ReadingSummary(sample, inside_ns, reading, reading, 0.0)
     held_s = 1e-6 * (sample.t_device_us - last.t_device_us)
     # Between samples further apart, a whole turn would look like no motion.
     counts = 0 < held_s <= APART_S and last.u_applied_v > FRICTION_V
     driven = (last.u_applied_v - FRICTION_V) * held_s if counts else 0.0
-    return Readings(sample, inside_ns, least, greatest, before.volt_s + driven)
+    return ReadingSummary(sample, inside_ns, least, greatest, before.volt_s + driven)
 
 
-def start_rad(readings: Readings) -> float | None:
+def start_rad(readings: ReadingSummary) -> float | None:
     """Return the last angle of channel 0, in rad; None if the angle is unknown."""
     newest = readings.newest
     return None if newest is None or isnan(newest.value_0) else newest.value_0
 
 
 def objection(
-    readings: Readings,
-    channels: Sequence[Channel],
+    readings: ReadingSummary,
+    channels: Sequence[DeviceChannel],
     *,
     turns_per_volt_s: float,
     is_described: bool = False,
@@ -84,7 +84,7 @@ def objection(
     """
     newest = readings.newest
     if newest is None:
-        return refused(RefusalCode.STALE, "no sample has come from the rig yet: try again")
+        return build_refusal(RefusalCode.STALE, "no sample has come from the rig yet: try again")
     turns = readings.volt_s * turns_per_volt_s
     counts_, values = (newest.counts_0, newest.counts_1), (newest.value_0, newest.value_1)
     read = zip(channels, counts_, values, readings.inside_ns, strict=False)
@@ -101,9 +101,9 @@ def objection(
                     f"; if the sensor rests there, give valid_rail = '{end}' to [outputs."
                     f"{channel.name}] in the rig's description"
                 )
-            return refused(RefusalCode.READINGS, text)
+            return build_refusal(RefusalCode.READINGS, text)
         if channel.turns and turns >= 1:
-            return refused(
+            return build_refusal(
                 RefusalCode.READINGS,
                 f"{channel.name} reads {counts} of 65535 and did not move while the motor was "
                 f"driven for {turns:.1f} turns: check the wires of sensor and motor, then turn "

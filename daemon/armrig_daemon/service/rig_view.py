@@ -10,7 +10,7 @@ from typing import Any
 from armrig_core.commands.commands import LastRun, Refused, StatusReport
 from armrig_core.process.standstill import boot_ns
 from armrig_core.rig.calibration import Calibration
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from armrig_core.telemetry.telemetry import Sample
 from msgspec import UNSET
 from msgspec.structs import replace
@@ -31,7 +31,7 @@ class RigView:
         self, config: Config, endpoint: str, directory: Path, description: Description | None = None
     ) -> None:
         """Create the view before the first report; default: the description of the arm."""
-        self.description = description or shipped("arm")
+        self.description = description or builtin("arm")
         """Description of the rig."""
         self.state = _UNKNOWN
         """Newest state that the loop has reported."""
@@ -45,7 +45,7 @@ class RigView:
         self._directory = directory
         self._note_channels()
         self._turns_per_volt_s = config.arm.turns_per_volt_s if self.description.arm else 0.0
-        self._readings = readings.Readings()
+        self._readings = readings.ReadingSummary()
         self._timing: Timing | None = None
         self._pressure = nan, -1
         self.load = pressure.load()
@@ -88,7 +88,7 @@ class RigView:
 
     def note_sample(self, sample: Sample) -> None:
         """Update the view with a sample."""
-        self._readings = readings.updated(self._readings, sample, self._turning)
+        self._readings = readings.update_readings(self._readings, sample, self._turning)
 
     def note_timing(self, timing: Timing) -> Timing:
         """Store the timing of the last second; return it together with the load of this machine."""

@@ -19,7 +19,7 @@ from armrig_core.commands.commands import (
     Refused,
     Renew,
     RunAccepted,
-    refused,
+    build_refusal,
 )
 from armrig_core.process.printable import plural
 from armrig_core.recording_file.manifest import (
@@ -30,10 +30,10 @@ from armrig_core.recording_file.manifest import (
     DESCRIPTION,
     Manifest,
 )
-from armrig_core.recording_file.recorder import Recording
+from armrig_core.recording_file.recorder import ActiveRecording
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.calibration_file import raw_samples
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from armrig_core.telemetry.telemetry import Outgoing
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
 from msgspec import UNSET
@@ -41,9 +41,9 @@ from msgspec import UNSET
 from armrig_daemon import pipe
 from armrig_daemon.config import Config
 from armrig_daemon.pipe import Gap, RunStarted, State
-from armrig_daemon.service.client_watchdog import ClientWatchdog, begun, renewed
+from armrig_daemon.service.client_watchdog import ClientWatchdog, begin_watch, renew_watch
 from armrig_daemon.service.host.host_facts import HostFacts, check_directory, of_this_host
-from armrig_daemon.service.plan import Plan
+from armrig_daemon.service.plan import RunPlan
 
 _BYTES_PER_SAMPLE = 200  # largest size of a recorded sample, uncompressed and indexed
 _BYTES_PER_DECISION = 120  # of a control law
@@ -58,8 +58,8 @@ class Planned(NamedTuple):
     """Run whose file is being created, or that has not begun."""
 
     run_id: str
-    plan: Plan
-    recording: Recording
+    plan: RunPlan
+    recording: ActiveRecording
 
 
 class Runs:
@@ -77,7 +77,7 @@ class Runs:
 
         The default of `description` is the description of the arm.
         """
-        self.description = description or shipped("arm")
+        self.description = description or builtin("arm")
         """Description of the rig."""
         self._config = config
         self._circumstances = circumstances or of_this_host()
@@ -85,8 +85,8 @@ class Runs:
         self._changed = changed
         self._calibration_raw = raw_samples(config.calibration)
         self._planned: Planned | None = None
-        self._recording: Recording | None = None
-        self._finishing: Recording | None = None
+        self._recording: ActiveRecording | None = None
+        self._finishing: ActiveRecording | None = None
         self._first = self._end = 0
         self._last: LastRun | None = None
         self.has_lost = False
@@ -94,7 +94,7 @@ class Runs:
         self._presence: ClientWatchdog | None = None
         self._early_notes: list[Outgoing] = []  # of a run that was requested and has not begun
         self._is_expected = False
-        self._dropped: list[Recording] = []  # their threads may still wait for the disk
+        self._dropped: list[ActiveRecording] = []  # their threads may still wait for the disk
 
     @property
     def config(self) -> Config:
@@ -105,7 +105,7 @@ class Runs:
     def last(self) -> LastRun | None:
         """Newest run, including the current run."""
         if self._planned is not None:
-            return _begun(self._planned)
+            return _new_last_run(self._planned)
         recording = self._recording or self._finishing
         if self._last is None or recording is None:
             return self._last
@@ -150,15 +150,17 @@ class Runs:
         """Return the refusal of a run because of another run or a silent disk, or None."""
         if not self.is_idle:
             busy = "an experiment is running: stop it first, or wait for its end"
-            return refused(RefusalCode.RUNNING, busy)
+            return build_refusal(RefusalCode.RUNNING, busy)
         self._dropped = [recording for recording in self._dropped if not recording.done]
         if len(self._dropped) >= _MOST_DROPPED:
             silent = f"{self._directory}: the disk does not answer; wait until it does, or set "
             silent += "[recording] directory to another disk"
-            return refused(RefusalCode.NO_ROOM, silent)
+            return build_refusal(RefusalCode.NO_ROOM, silent)
         return None
 
-    def open(self, plan: Plan, Ts: float, *, waits: bool = False) -> tuple[pipe.Run, RunAccepted]:
+    def open(
+        self, plan: RunPlan, Ts: float, *, waits: bool = False
+    ) -> tuple[pipe.Run, RunAccepted]:
         """Have the file of a run created; return the order to the loop, and the client's answer.
 
         `Ts` is the sampling time of the lease in s. The order may leave when `opened` is True. If
@@ -175,7 +177,7 @@ class Runs:
         name = f"{self._config.rig.id}-{options.experiment}-{stamp}-{run_id}.mcap"
         each = _BYTES_PER_SAMPLE + (_BYTES_PER_DECISION if is_control else 0)
         needed = round(plan.samples * (each + _BYTES_PER_SECOND * Ts)) + _BASE_BYTES
-        recording = Recording(
+        recording = ActiveRecording(
             self._directory / name,
             changed=self._changed,
             check=partial(_no_room, self._directory, needed),
@@ -186,7 +188,7 @@ class Runs:
         self._is_expected = False
         if waits:
             recording.wait_for_file()
-            self.opened()
+            self.is_file_ready()
         order = pipe.Run(
             lease=options.lease,
             n=options.n,
@@ -200,23 +202,23 @@ class Runs:
         path = str(recording.path)
         return order, RunAccepted(run_id=run_id, recording=path, rehearsal=plan.rehearsal)
 
-    def opened(self) -> bool:
+    def is_file_ready(self) -> bool:
         """Return whether the file of the planned run exists.
 
         Raises CommandRefusedError if the file cannot be created; the run is then forgotten.
         """
         if self._planned is None:
             overtaken = "the run was overtaken by another: arm, and send it again"
-            raise CommandRefusedError(refused(RefusalCode.OVERTAKEN, overtaken))
+            raise CommandRefusedError(build_refusal(RefusalCode.OVERTAKEN, overtaken))
         recording = self._planned.recording
         if recording.error:
             self.forget(self._planned.run_id)
-            raise CommandRefusedError(refused(RefusalCode.NO_ROOM, recording.error))
+            raise CommandRefusedError(build_refusal(RefusalCode.NO_ROOM, recording.error))
         return recording.is_created
 
     def renew(self, sign: Renew, now_s: float) -> None:
         """Accept a sign of life; raise ValueError if the current run belongs to another client."""
-        self._presence = renewed(self._presence, sign, now_s)
+        self._presence = renew_watch(self._presence, sign, now_s)
 
     @property
     def client_gone_s(self) -> float:
@@ -263,12 +265,12 @@ class Runs:
             attachments[CONTROLLER] = planned.plan.law.text
         if self._calibration_raw:
             attachments[CALIBRATION_RAW] = self._calibration_raw
-        self._last = _begun(planned)
+        self._last = _new_last_run(planned)
         self._first, self._end = started.k_first, started.k_first + started.count
         self._recording = planned.recording
         self._recording.begin(manifest, attachments, t_first_ns=started.t_host_ns)
         self._recording.add(early_notes)
-        self._presence = begun(planned.plan.options, time.monotonic())
+        self._presence = begin_watch(planned.plan.options, time.monotonic())
         return self._recording.active
 
     @property
@@ -312,7 +314,7 @@ class Runs:
         self._last = msgspec.structs.replace(self._last, outcome=ended.text, code=ended.code)
         self._finishing = recording
 
-    def disturbed(self) -> Ending | None:
+    def recording_failure(self) -> Ending | None:
         """Return the outcome if the run must end because its recording failed or was moved."""
         recording = self._recording
         if recording is None:
@@ -322,7 +324,7 @@ class Runs:
             return Ending(OutcomeCode.RECORDING, recording.error)
         return Ending(OutcomeCode.MOVED, recording.moved) if recording.moved else None
 
-    def finished(self, timeout: float = 0.0) -> tuple[str, str]:
+    def completion_line(self, timeout: float = 0.0) -> tuple[str, str]:
         """Return the level and text of a log line if a recording is complete, else two empty texts.
 
         After `timeout`, in s, the recording is given up.
@@ -413,7 +415,7 @@ def part_samples(minutes: float, samples: int, Ts: float) -> int:
     return most if most < samples else 0
 
 
-def _begun(planned: Planned) -> LastRun:
+def _new_last_run(planned: Planned) -> LastRun:
     return LastRun(
         run_id=planned.run_id,
         recording=str(planned.recording.active),

@@ -22,7 +22,7 @@ from armrig_daemon.service.host.systemd import journal_entry, send_to_journal
 _EXPIRY_NOTICE = timedelta(days=30)
 
 
-def served(config: Config, ended_by: str = "Ctrl-C") -> str:
+def startup_sentence(config: Config, ended_by: str = "Ctrl-C") -> str:
     """Return the rig's port and limits, and how to request the status and end the service."""
     rig = "" if config.rig.id == "1" else f" --rig {config.rig.id}"
     how = f"ask it with `armrig status{rig}`, end it with {ended_by}"
@@ -62,7 +62,7 @@ def unreachable(endpoint: str, devices: str) -> str:
     )
 
 
-def reached(network: Network, now: datetime) -> tuple[str, str]:
+def network_notice(network: Network, now: datetime) -> tuple[str, str]:
     """Return a level, and a line with the permitted clients and the expiry of the certificate."""
     who = f"{network.operators} may drive and {network.observers} may watch, by certificate"
     text = f"also at {network.endpoint}: {who}"
@@ -117,8 +117,8 @@ def print_line(level: str, message: str, fields: Mapping[str, str] | None = None
     with contextlib.suppress(OSError):
         prefix = log_prefix(level)
         if prefix is not None and fields:
-            shown = {name: printable(value) for name, value in fields.items()}
-            if send_to_journal(journal_entry(level, printable(message), shown)):
+            printable_fields = {name: printable(value) for name, value in fields.items()}
+            if send_to_journal(journal_entry(level, printable(message), printable_fields)):
                 return
         line = f"armrigd: {level}: {message}" if prefix is None else f"{prefix}{message}"
         print(printable(line), file=sys.stderr, flush=True)

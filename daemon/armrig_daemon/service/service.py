@@ -27,13 +27,13 @@ from armrig_core.process import open_files, realtime
 from armrig_core.process.line_writer import LineWriter
 from armrig_core.process.signal_pipe import SignalPipe
 from armrig_core.process.standstill import Standstill
-from armrig_core.rig.description import Description, shipped
-from armrig_core.rig.emulated import held_up
+from armrig_core.rig.description import Description, builtin
+from armrig_core.rig.emulated import stall_sentence
 from armrig_core.telemetry.telemetry import Outgoing, decode_sample
 from msgspec.structs import replace
 
 from armrig_daemon.config import EX_CONFIG, Config
-from armrig_daemon.loop.process import NO_PORT, Settings
+from armrig_daemon.loop.process import NO_PORT, LoopSettings
 from armrig_daemon.pipe import (
     Alive,
     Answer,
@@ -66,9 +66,9 @@ from armrig_daemon.service.runs import Runs
 from armrig_daemon.service.sentences import (
     endpoint_error,
     log_line,
+    network_notice,
     print_line,
-    reached,
-    served,
+    startup_sentence,
     state_sentence,
     unreachable,
 )
@@ -123,7 +123,7 @@ class Service:
         service. `description` describes the rig; default: the arm. `log` writes the lines of the
         service and of its loop, for which neither waits; default: to standard error.
         """
-        self._description = description or shipped("arm")
+        self._description = description or builtin("arm")
         self._notifier = Notifier({}) if notifier is None else notifier
         self._check_configuration = check_configuration
         self._restarts = False
@@ -151,7 +151,7 @@ class Service:
             self._print("error", str(err))
             return EX_CONFIG
         loop = child.start(
-            Settings(
+            LoopSettings(
                 rules=replace(config.rules(self._description), service_ns=SILENCE_NS),
                 port=config.device.port,
                 baud=config.device.baud,
@@ -238,11 +238,11 @@ class Service:
             self._say("warning", _AT_FIFO)
         self._say("info", f"rig {self._config.rig.id} at {self._endpoint}")
         for way in ways:
-            self._say(*reached(way, datetime.now(UTC)))
+            self._say(*network_notice(way, datetime.now(UTC)))
             if problem := unreachable(way.endpoint, Path("/proc/net/dev").read_text()):
                 self._say("warning", problem)
         by = "`systemctl stop`" if self._notifier.is_asked else "Ctrl-C"
-        self._say("info", served(self._config, by))
+        self._say("info", startup_sentence(self._config, by))
         if objection := self._runs.no_room():  # report it now, not only at the first run
             self._say("warning", f"nothing can be recorded: {objection.error}")
 
@@ -262,7 +262,7 @@ class Service:
             if self._loop.records_fd in ready:  # first: subscribers wait for the sample
                 records = self._loop.records()
                 if records is None:
-                    self._woken()  # a signal may have ended the loop before `select` returned
+                    self._handle_wake()  # a signal may have ended the loop before `select` returned
                     self._planner.close()
                     return
                 self._handle(records)
@@ -271,7 +271,7 @@ class Service:
             if self._stalls_fd in ready:
                 self._hear_of_stalls(self._stalls_fd)
             if self._signals.fd in ready:
-                self._woken()
+                self._handle_wake()
             if time.monotonic() >= state_due:  # before what is looked at only after a wake-up
                 state_due = time.monotonic() + 1
                 self._each_second()
@@ -305,7 +305,7 @@ class Service:
                 case RunStarted():
                     self._begin_run(record)
                 case RunEnded():
-                    batch += self._published(self._thinning.due(realtime.now_ns(), end=True))
+                    batch += self._publish_all(self._thinning.due(realtime.now_ns(), end=True))
                     self._runs.add(batch)
                     batch = []
                     ended = Ending(record.outcome_code, record.outcome)
@@ -316,25 +316,25 @@ class Service:
                 case Host():
                     self._notifier.ready()
                     self._rig.host = record.granted
-                    for what in record.granted["refused"]:
-                        self._say("warning", f"not granted: {what}; timing is less exact")
+                    for grant in record.granted["refused"]:
+                        self._say("warning", f"not granted: {grant}; timing is less exact")
                 case Trace():
                     batch.append(outgoing(record, self._offset_ns))
                 case Log():
                     if self._thinning.lets_through(record):
-                        batch += self._published([record])
+                        batch += self._publish_all([record])
                 case Timing():
                     self._notifier.progress()
-                    batch += self._published([self._rig.note_timing(record)])
+                    batch += self._publish_all([self._rig.note_timing(record)])
                 case State():
                     if not record.owner:
                         self._commands.note_lease("")
-                    batch += self._published([record])
+                    batch += self._publish_all([record])
                 case Gap() | Clock() | Control():
-                    batch += self._published([record])
+                    batch += self._publish_all([record])
         self._runs.add(batch)
 
-    def _published(self, records: Iterable[Published]) -> list[Outgoing]:
+    def _publish_all(self, records: Iterable[Published]) -> list[Outgoing]:
         """Publish records; return the messages for the recording."""
         published = [(record, self._publish(record)) for record in records]
         return [message for record, message in published if self._runs.includes(record)]
@@ -368,7 +368,7 @@ class Service:
 
     def _note(self, t_host_ns: int, text: str, owner: str) -> None:
         """Publish and record a note; the filter of the log never holds back a note."""
-        fields = {"owner": owner, "command": commands.Note.name}
+        fields = {"owner": owner, "command": commands.NoteRequest.name}
         log = Log(t_host_ns=t_host_ns, level="info", message=text, fields=fields, is_note=True)
         self._runs.add_note(self._publish(log))
 
@@ -380,10 +380,10 @@ class Service:
             return
         now_ns = realtime.now_ns()
         logs = [
-            Log(t_host_ns=now_ns, level="warning", message=held_up(ns), emulator_stall_ns=ns)
+            Log(t_host_ns=now_ns, level="warning", message=stall_sentence(ns), emulator_stall_ns=ns)
             for ns in map(int, stalls.split())
         ]
-        self._runs.add(self._published(logs))
+        self._runs.add(self._publish_all(logs))
 
     def _standstill(self) -> str:
         """Report a sleep of this computer; return the sentence on a sleep in the current run."""
@@ -405,13 +405,13 @@ class Service:
         self._say("info", f"recording {path}")
 
     def _say_finished(self, timeout: float = 0.0) -> None:
-        level, text = self._runs.finished(timeout)
+        level, text = self._runs.completion_line(timeout)
         if text and (last := self._runs.last):
             self._say(level, text, run=last.run_id, cause=last.outcome)
 
     # -- the service itself ----------------------------------------------------------------
 
-    def _woken(self) -> None:
+    def _handle_wake(self) -> None:
         """Handle signals, and changes that the other threads report."""
         signals = self._signals.read()  # read first: a later signal wakes the service again
         if signal.SIGHUP in signals and self._check_configuration is not None:
@@ -419,7 +419,7 @@ class Service:
             self._restart(self._check_configuration)
         if signals:
             self._quit("the service received a signal to end")
-        if ended := self._runs.disturbed():
+        if ended := self._runs.recording_failure():
             self._loop.order(Stop(reason=ended.text, outcome_code=ended.code))
         self._say_finished()
         for level, text in self._left_over.lines():
@@ -428,10 +428,10 @@ class Service:
     def _restart(self, check_configuration: Callable[[], Config]) -> None:
         """End the unused service, as only a new process can give its loop a real-time priority."""
 
-        def then(found: object) -> None:
-            if isinstance(found, Exception):
+        def then(outcome: object) -> None:
+            if isinstance(outcome, Exception):
                 text = "configuration not reloaded, the old configuration stays"
-                self._say("error", f"{text}: {found}")
+                self._say("error", f"{text}: {outcome}")
             elif not self._is_in_use():
                 self._restarts = True
                 self._quit("the configuration is reloaded")
@@ -458,18 +458,18 @@ class Service:
     def _each_second(self) -> None:
         self._loop.order(Alive())
         self._standstill()
-        self._woken()  # a disk that does not answer wakes nobody
+        self._handle_wake()  # a disk that does not answer wakes nobody
         self._commands.refuse_overdue(time.monotonic())
         self._planner.look()
         if not self._housekeeping.waiting:
-            self._housekeeping.call(self._looked, self._note_look)
+            self._housekeeping.call(self._look, self._note_look)
         if self._runs.is_idle:
             self._left_over.go_on()
-        self._runs.add(self._published(self._thinning.due(realtime.now_ns())))
+        self._runs.add(self._publish_all(self._thinning.due(realtime.now_ns())))
         if self._rig.is_known:
             self._publish(replace(self._rig.state, t_host_ns=realtime.now_ns()))
 
-    def _looked(self) -> _Look:
+    def _look(self) -> _Look:
         """Look at what needs the file system; this is done in a thread."""
         lines = [self._files.look()]
         if self._guard is not None:
@@ -480,13 +480,13 @@ class Service:
             lines.append(self._session.uplink.look())
         return _Look([line for line in lines if line], *self._pressure.read(), pressure.load())
 
-    def _note_look(self, found: _Look | Exception) -> None:
-        if isinstance(found, Exception):
-            self._say("error", f"the daemon could not look after its files: {found!r}")
+    def _note_look(self, look: _Look | Exception) -> None:
+        if isinstance(look, Exception):
+            self._say("error", f"the daemon could not look after its files: {look!r}")
             return
-        for line in found.lines:
+        for line in look.lines:
             self._say(*line)
-        self._rig.note_load(*found[1:])
+        self._rig.note_load(*look[1:])
 
     @property
     def _is_busy(self) -> bool:

@@ -21,18 +21,18 @@ class SocketFile:
     def __init__(self, socket: Path, facts: DaemonFacts, open_again: Callable[[], str]) -> None:
         """Write the facts; `open_again` opens the socket, and returns why it failed, or ""."""
         self._socket, self._facts, self._open_again = socket, facts, open_again
-        self._files = self._noted()
+        self._files = self._note_files()
         self._has_failed = False
 
     def look(self) -> str:
         """Open a deleted socket again; return a line for the log if another program changed it."""
-        found = self._find()
-        if found == self._files:
+        files = self._find()
+        if files == self._files:
             return ""
-        if any(new and new != old for new, old in zip(found, self._files, strict=True)):
-            self._files, why = found, "and another program listens there: end that program"
+        if any(new and new != old for new, old in zip(files, self._files, strict=True)):
+            self._files, why = files, "and another program listens there: end that program"
         elif not (why := self._failure()):
-            self._files, self._has_failed = self._noted(), False
+            self._files, self._has_failed = self._note_files(), False
             return f"{self._socket}: another program deleted this socket; it is open again"
         elif self._has_failed:  # tried again each second, and reported once
             return ""
@@ -50,7 +50,7 @@ class SocketFile:
             return str(err.strerror)
         return self._open_again()
 
-    def _noted(self) -> list[_Inode]:
+    def _note_files(self) -> list[_Inode]:
         with suppress(OSError):  # such as a full disk: then a client knows less about a silence
             write_facts(self._socket, self._facts)
         return self._find()
@@ -62,6 +62,6 @@ class SocketFile:
 def _inode(path: Path) -> _Inode:
     """Return device and inode of a file; None if there is no file."""
     with suppress(OSError):
-        found = path.lstat()
-        return found.st_dev, found.st_ino
+        stat = path.lstat()
+        return stat.st_dev, stat.st_ino
     return None

@@ -15,16 +15,16 @@ from typing import Any
 
 import msgspec
 from armrig_core.commands.codes import Ending
-from armrig_core.commands.commands import Control, Run
+from armrig_core.commands.commands import ControlRequest, RunRequest
 from armrig_core.errors import InputError, OperationError
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from armrig_core.rig.emulated import VIRTUAL_PORT
 from armrig_core.telemetry.telemetry import Outgoing, decode_sample
 from msgspec import UNSET
 from msgspec.structs import replace
 
 from armrig_daemon import pipe
-from armrig_daemon.config import Config, Recording
+from armrig_daemon.config import Config, RecordingTable
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.pipe import (
     Answer,
@@ -77,7 +77,7 @@ class VirtualService:
         rig = replace(config.rig, file=UNSET)  # the description itself is attached
         device = replace(config.device, port=VIRTUAL_PORT)
         self._config = replace(
-            config, rig=rig, device=device, emulator=emulator, recording=Recording()
+            config, rig=rig, device=device, emulator=emulator, recording=RecordingTable()
         )
         self._began = BEGINNING + timedelta(seconds=seed % _DISTINCT_SEEDS)
         self._offset_ns = int(self._began.timestamp()) * 1_000_000_000
@@ -87,7 +87,7 @@ class VirtualService:
             now=lambda _: self._began + timedelta(microseconds=self._rig.ports.now // 1000),
             host={"time": "virtual", "seed": seed},
         )
-        self._description = description or shipped("arm")
+        self._description = description or builtin("arm")
         self._runs = Runs(self._config, directory, lambda: None, circumstances, description)
         self._thinning = Thinning()
         self._n = 0
@@ -95,7 +95,7 @@ class VirtualService:
         self._answers: dict[int, Answer] = {}
         self._has_ended = self._has_sample = False
 
-    def record(self, request: Run | Control) -> Path:
+    def record(self, request: RunRequest | ControlRequest) -> Path:
         """Arm, play or control, and record a run; return the path of the complete recording.
 
         The lease and the number of `request` are replaced.
@@ -108,7 +108,7 @@ class VirtualService:
         self._n += 1
         request = replace(request, lease=LEASE, n=self._n)
         Ts, rig = granted.body["Ts"], (self._config, self._description)
-        if isinstance(request, Control):
+        if isinstance(request, ControlRequest):
             plan = make_control_plan(request, request.reference, Ts, *rig)
         else:
             plan = make_plan(options_of(request), request.u, Ts, *rig)
@@ -116,7 +116,7 @@ class VirtualService:
         self._has_ended = False
         self._ask(order)
         self._until(lambda: self._has_ended, "does not end its run", plan.samples * Ts)
-        level, text = self._runs.finished(_FINISH_S)
+        level, text = self._runs.completion_line(_FINISH_S)
         last = self._runs.last
         if level != "info" or last is None or not last.is_complete:
             raise OperationError(text or f"the recording is not complete after {_FINISH_S:g} s")
@@ -137,11 +137,11 @@ class VirtualService:
             raise OperationError(answer.error)
         return answer
 
-    def _until(self, what: Callable[[], bool], failing: str, seconds: float = 0.0) -> None:
-        """Let virtual time pass until `what()` is true."""
+    def _until(self, condition: Callable[[], bool], failing: str, seconds: float = 0.0) -> None:
+        """Let virtual time pass until `condition()` is true."""
         ports = self._rig.ports
         end_ns = ports.now + round(seconds * 1e9) + _SETTLE_NS
-        while not what():
+        while not condition():
             if ports.now >= end_ns or self._rig.loop.ended:
                 raise OperationError(f"the emulated rig {failing}: {self._state}")
             self._take(self._rig.run_until(min(end_ns, ports.now + _STEP_NS)))
@@ -188,22 +188,22 @@ def _name(seed: int, codes: bytes) -> str:
     return hashlib.blake2b(codes, key=str(seed).encode(), digest_size=4).hexdigest()
 
 
-def requests_of(text: bytes) -> list[Run | Control]:
+def requests_of(text: bytes) -> list[RunRequest | ControlRequest]:
     """Return the runs in `text`; each line is a command `run` or `control`, without its lease.
 
     A command `control` is the one with a law.
 
     Raises ValueError if a line is not a run; the message names the line and the error.
     """
-    runs: list[Run | Control] = []
+    runs: list[RunRequest | ControlRequest] = []
     for number, line in enumerate(text.splitlines(), 1):
         try:
             fields: dict[str, Any] = msgspec.json.decode(line, type=dict[str, Any])
             fields |= {"lease": LEASE, "n": 0}
             if "law" in fields:
-                runs.append(msgspec.convert(fields, Control))
+                runs.append(msgspec.convert(fields, ControlRequest))
             else:
-                runs.append(msgspec.convert(fields, Run))
+                runs.append(msgspec.convert(fields, RunRequest))
         except msgspec.MsgspecError as err:
             raise InputError(f"line {number} is no run: {err}") from err
     return runs

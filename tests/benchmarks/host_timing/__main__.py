@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from armrig.lab.host import governors, granted, load, preemption, text, virtual
+from armrig.lab.host import governors, load, preemption, probe_rights, text, virtual
 from armrig_core.errors import ArmrigError
 from rich.console import Console
 
@@ -53,7 +53,7 @@ def machine(seconds: float, root: Path = Path("/")) -> Iterator[str]:
     yield f"processor   {model[1] if model else 'unknown'}, {cpus}; governor {governor}"
     built = f"{platform.python_compiler()}, {sysconfig.get_config_var('OPT')}"
     yield f"python      {platform.python_version()} of {platform.python_build()[1]}, {built}"
-    yield f"SCHED_FIFO  {'allowed' if granted()[0] else 'NOT allowed'}"
+    yield f"SCHED_FIFO  {'allowed' if probe_rights()[0] else 'NOT allowed'}"
     yield f"load        {load(root):g} before the measurement"
     yield f"rounds      {ROUNDS}, together {seconds:g} s for each program and rate"
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from armrig_core.commands.codes import GapCode
-from armrig_core.rig.volts import applied_code, code_of, volts_of
+from armrig_core.rig.volts import code_of, device_code, volts_of
 from numpy.typing import ArrayLike, NDArray
 
 Vector = NDArray[np.float64]
@@ -108,7 +108,7 @@ def misplaced(
         i = k - k_first
         if 0 <= i < len(u):
             code = code_of(float(u[i]))
-            expected = volts_of(code), volts_of(applied_code(code, pwm_bits))
+            expected = volts_of(code), volts_of(device_code(code, pwm_bits))
             wrong += (commanded, applied) != expected
         else:
             wrong += 1

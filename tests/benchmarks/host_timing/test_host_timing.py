@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from armrig_core.commands.codes import GapCode
 from armrig_core.errors import OperationError
-from armrig_core.rig.volts import applied_code, code_of, volts_of
+from armrig_core.rig.volts import code_of, device_code, volts_of
 
 from tests.benchmarks.host_timing import targets, turns
 from tests.benchmarks.host_timing.__main__ import run
@@ -50,7 +50,7 @@ def samples(k: list[int], late_ns: int = 0, u: list[float] | None = None) -> Any
     made["t_host_ns"] = made["t_sched_ns"] + late_ns
     codes = [code_of(v) for v in u or [0.0] * len(k)]
     made["u_cmd_v"] = [volts_of(c) for c in codes]
-    made["u_applied_v"] = [volts_of(applied_code(c, 10)) for c in codes]
+    made["u_applied_v"] = [volts_of(device_code(c, 10)) for c in codes]
     return made
 
 

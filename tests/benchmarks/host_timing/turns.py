@@ -22,7 +22,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 import numpy as np
-from armrig.lab.host import PRIORITY, granted
+from armrig.lab.host import PRIORITY, probe_rights
 from armrig.recordings.files.loading import load
 from armrig.recordings.recording import Recording
 from armrig.rig.replies import RunEndedError
@@ -140,7 +140,7 @@ def cyclictest(rate: Rate, ticks: int) -> None:
     """Add the lateness of cyclictest, if it is installed and allowed."""
     # Debian puts it into a directory that a user's PATH may not contain.
     found = shutil.which("cyclictest", path=f"{os.environ['PATH']}:/usr/sbin:/usr/bin")
-    if found is None or not all(granted()):
+    if found is None or not all(probe_rights()):
         rate.remarks.append("cyclictest is not installed, or not allowed")
         return
     sizes = ["-i", str(1_000_000 // rate.rate_hz), "-l", str(ticks), "-h", str(MAX_US)]

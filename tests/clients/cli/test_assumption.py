@@ -9,7 +9,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
@@ -26,7 +26,7 @@ def written(path: Path, u: Vector, y: Vector) -> str:
 def lag(u: Vector, seed: int = 1, *, pole: float = 0.95, noise: float = 0.02) -> Vector:
     """Return the response of a lag of gain 1 with noise."""
     rng = np.random.default_rng(seed)
-    return filtered([0.0, 1 - pole], [1.0, -pole], u) + noise * rng.standard_normal(u.size)
+    return apply_filter([0.0, 1 - pole], [1.0, -pole], u) + noise * rng.standard_normal(u.size)
 
 
 @pytest.fixture
@@ -48,9 +48,9 @@ def test_an_assumption_reaches_the_tests_of_a_given_structure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     u = armrig.telegraph(400, 0.1, 0.0, 4.0, seed=3)
-    y = filtered([0.0, 0.1], [1.0, -1.0], u - 2) + 0.02 * np.random.default_rng(1).standard_normal(
-        400
-    )
+    y = apply_filter([0.0, 0.1], [1.0, -1.0], u - 2) + 0.02 * np.random.default_rng(
+        1
+    ).standard_normal(400)
     table = written(tmp_path / "level.csv", u - 2, y)
     line = f"identify {table} --structure n4sid --order 1".split()
 

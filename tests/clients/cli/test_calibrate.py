@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from armrig.cli import main
 from armrig.cli.calibration import (
-    _checked,
     _default,
-    _measured,
-    _Wanted,
+    _measure,
+    _MeasurementPlan,
+    _writable_path,
     check_turns,
     conversion_through,
     meter_reading,
@@ -108,7 +108,7 @@ def test_the_running_daemon_loads_a_calibration_after_consent(
     told = capsys.readouterr().err
     assert said in told
     assert f'[calibration]\nfile = "{output}"\n' in told
-    sent = [r for r in daemon.asked if isinstance(r, commands.Calibrate)]
+    sent = [r for r in daemon.asked if isinstance(r, commands.CalibrateRequest)]
     assert [r.calibration for r in sent] == [read_calibration(output)] * is_used
     assert [r.raw for r in sent] == [raw_path(output).read_bytes()] * is_used
 
@@ -137,7 +137,7 @@ def test_calibrate_keeps_its_file_if_the_daemon_refuses(
 ) -> None:
     output = tmp_path / "c.toml"
     given = ["calibrate", *_files(tmp_path), "--save", str(output), "--connect", daemon.endpoint]
-    daemon.refusals["calibrate"] = commands.refused(
+    daemon.refusals["calibrate"] = commands.build_refusal(
         RefusalCode.IN_FAULT,
         "in fault (link lost): correct the cause, then reset",
         reason="link lost",
@@ -204,9 +204,9 @@ def test_calibrate_without_a_terminal_requires_yes(
     assert "there is no terminal for questions: give --yes" in capsys.readouterr().err
 
 
-def _wanted(**changes: Any) -> _Wanted:
+def _wanted(**changes: Any) -> _MeasurementPlan:
     given: dict[str, Any] = {"volts": [2.0], "level_seconds": 1.0}
-    return _Wanted(**given | changes)
+    return _MeasurementPlan(**given | changes)
 
 
 def test_calibrate_requests_a_deflection_before_it_records_the_arm() -> None:
@@ -214,7 +214,7 @@ def test_calibrate_requests_a_deflection_before_it_records_the_arm() -> None:
     ask: Any = SimpleNamespace(ready=done.append)
     play: Any = SimpleNamespace(rest=lambda experiment, s: done.append(f"{experiment} {s:g} s"))
 
-    _measured(_wanted(by_hand=True), ask, play)
+    _measure(_wanted(by_hand=True), ask, play)
 
     assert [done[0][:15], done[1], done[2][:15], done[3]] == [
         *("Turn the chassi", "calibrate-rest 3 s", "Deflect the arm", "calibrate-hand 3 s"),
@@ -230,7 +230,7 @@ def test_calibrate_does_not_request_readings_given_as_options() -> None:
         turns=lambda levels, s: done.append(f"{levels} {s:g} s"),
     )
 
-    _, readings = _measured(_wanted(meter=["9=1.5"]), ask, play)
+    _, readings = _measure(_wanted(meter=["9=1.5"]), ask, play)
 
     assert readings == [(9, 1.5)]
     assert done == ["calibrate-rest", "[2.0] 1 s"]
@@ -293,9 +293,9 @@ def test_calibrate_replaces_only_calibration_files(text: str, said: str, tmp_pat
     own.write_text(toml_of(Calibration(made=made)))
 
     with pytest.raises(InputError, match=f"--save {other}: {said}; give another name"):
-        _checked(other)
-    assert _checked(own) == own
-    assert _checked(tmp_path / "new.toml") == tmp_path / "new.toml"
+        _writable_path(other)
+    assert _writable_path(own) == own
+    assert _writable_path(tmp_path / "new.toml") == tmp_path / "new.toml"
 
 
 def test_two_points_make_a_line_and_more_points_a_table() -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig.cli.recorded_data import loaded
+from armrig.cli.recorded_data import load_recordings
 from armrig.cli.results import write_plot
 from armrig.plots.captions import sign
-from armrig.recordings.files.recording_names import answering_among, named_path, short_name
+from armrig.recordings.files.recording_names import answering_among, path_of_name, short_name
 from armrig.recordings.files.recording_summary import summary_of
 from armrig_core.recording_file.manifest import Outcome
 from matplotlib.figure import Figure
@@ -272,7 +272,7 @@ def test_a_warning_and_a_figure_have_the_name_of_the_command_line(
 ) -> None:
     drawn = Figure().add_subplot()
 
-    [recording] = loaded([named_path("@monday")], None)
+    [recording] = load_recordings([path_of_name("@monday")], None)
     write_plot(folder / "a.svg", data=lambda ax: sign(drawn, recording.sha256))
 
     assert "armrig: @monday has 8 samples" in capsys.readouterr().err

@@ -16,7 +16,7 @@ from typing import Any
 import armrig
 import pytest
 from armrig.cli import main
-from armrig.cli.printing import folded, tell
+from armrig.cli.printing import fold, tell
 from armrig.rig import status
 from armrig_core.telemetry import telemetry
 
@@ -185,12 +185,12 @@ def test_armrig_without_a_command_prints_help_and_has_exit_code_2(
 def test_long_lines_are_broken_between_words_on_a_terminal_only() -> None:
     text = "- one two three /a/long/path/that-is-longer-than-the-line four\n\n  five"
 
-    assert folded(text, 0) == text
-    assert folded(text, 16).splitlines() == [
+    assert fold(text, 0) == text
+    assert fold(text, 16).splitlines() == [
         *("- one two three", "  /a/long/path/that-is-longer-than-the-line", "  four"),
         *("", "  five"),
     ]
-    assert folded("name  one two three four", 16, indent=6) == "name  one two\n      three four"
+    assert fold("name  one two three four", 16, indent=6) == "name  one two\n      three four"
 
 
 def test_an_error_has_its_priority_in_the_journal(

@@ -250,7 +250,7 @@ def test_collect_validation_also_plays_the_next_seed(
 
     assert main(arguments) == 0
 
-    first, second = (r for r in daemon.asked if isinstance(r, commands.Run))
+    first, second = (r for r in daemon.asked if isinstance(r, commands.RunRequest))
     kinds = [first.experiment, second.experiment]
     assert kinds == ["blackbox-monday", "blackbox-validation-monday"]
     assert [r.details["seed"] for r in (first, second)] == [7, 8]
@@ -268,7 +268,7 @@ def test_collect_plays_the_voltages_of_a_file(
 
     assert main(["collect", "blackbox", "--file", str(file), "--connect", where]) == 0
 
-    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    [run] = [r for r in daemon.asked if isinstance(r, commands.RunRequest)]
     assert run.u == [k % 5 for k in range(40)]
     assert run.details == {"input": "csv", "file": "mine.csv"}
 
@@ -359,7 +359,7 @@ def test_a_collection_ends_with_its_program_by_default(
 
     assert main(["collect", "step", *option, "--connect", where]) == 0
 
-    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    [run] = [r for r in daemon.asked if isinstance(r, commands.RunRequest)]
     assert run.dead_man == dead_man
     assert ("renew" in daemon.names()) == (dead_man is not None)
 
@@ -498,13 +498,13 @@ def test_a_number_that_is_typed_during_a_run_is_its_reference(
     with os.fdopen(person, "wb", buffering=0) as typing, os.fdopen(terminal) as stdin:
         monkeypatch.setattr("sys.stdin", stdin)
         monkeypatch.setattr("os.tcgetpgrp", lambda _: os.getpgrp())
-        assert runs._typed_number() is None
+        assert runs._read_number() is None
         typing.write(b"3.5\n")
-        assert runs._typed_number() == 3.5
+        assert runs._read_number() == 3.5
         typing.write(b"faster\n")
-        assert runs._typed_number() is None
+        assert runs._read_number() is None
         monkeypatch.setattr("os.tcgetpgrp", lambda _: os.getpgrp() + 1)
         typing.write(b"4\n")
-        assert runs._typed_number() is None
+        assert runs._read_number() is None
 
     assert "faster is no number: type a number and Enter" in capsys.readouterr().err

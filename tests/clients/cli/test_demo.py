@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from armrig.cli import demo, demo_rig, main
 from armrig.cli.demo_files import LIST
-from armrig.excitation.demonstration import Experiment
+from armrig.excitation.demonstration import DemonstrationRun
 from armrig.excitation.pace import pace_of
 from armrig.rig import client as rig_module
 from armrig.rig.client import Rig
@@ -19,7 +19,7 @@ from armrig.rig.replies import RefusedError
 from armrig.rig.session import RigError
 from armrig.rig.status import scheduling_line
 from armrig_core.commands import commands
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 
 from tests.clients.fake_daemon import FakeDaemon
 from tests.sampling import sampled
@@ -43,13 +43,13 @@ class StallingDaemon(FakeDaemon):
         super().__init__(endpoint, demo.RIG)
         self._refusals, self._ends = refusals, ends
 
-    def _carry_out(self, request: commands.Request) -> Any:
-        if isinstance(request, commands.Arm) and self._refusals:
+    def _carry_out(self, request: commands.DaemonRequest) -> Any:
+        if isinstance(request, commands.ArmRequest) and self._refusals:
             raise ValueError(self._refusals.pop(0))
-        if isinstance(request, commands.Run):
+        if isinstance(request, commands.RunRequest):
             self.outcome = self._ends.pop(0) if self._ends else "complete"
             self.fault = "" if self.outcome == "complete" else self.outcome
-        if isinstance(request, commands.Reset):
+        if isinstance(request, commands.ResetRequest):
             self.fault = ""
         return super()._carry_out(request)
 
@@ -158,8 +158,8 @@ def test_the_demonstration_describes_the_scheduling_in_one_line(
 class LateTrippingDaemon(StallingDaemon):
     """Trips while the rig is given back."""
 
-    def _carry_out(self, request: commands.Request) -> Any:
-        if isinstance(request, commands.Stop):
+    def _carry_out(self, request: commands.DaemonRequest) -> Any:
+        if isinstance(request, commands.StopRequest):
             self.fault = "no answer from the device for 70 ms"
         return super()._carry_out(request)
 
@@ -167,12 +167,12 @@ class LateTrippingDaemon(StallingDaemon):
 class TrippingDaemon(FakeDaemon):
     """Trips between the first arming and its run."""
 
-    def _carry_out(self, request: commands.Request) -> Any:
-        if isinstance(request, commands.Run) and self.names() == ["arm"]:
+    def _carry_out(self, request: commands.DaemonRequest) -> Any:
+        if isinstance(request, commands.RunRequest) and self.names() == ["arm"]:
             self.asked.append(request)
             self.fault = "the device stopped by itself: WATCHDOG"
             raise ValueError("not the lease in force: arm first")
-        if isinstance(request, commands.Reset):
+        if isinstance(request, commands.ResetRequest):
             self.fault = ""
         return super()._carry_out(request)
 
@@ -204,8 +204,8 @@ def test_the_report_names_recordings_in_virtual_time_and_the_reason() -> None:
 
 
 def _recorded(rig: Rig, left_s: float = 60.0) -> Path:
-    experiment = Experiment("step", np.full(3, 1.0), {})
-    return demo_rig.recorded(rig, experiment, time.monotonic() + left_s)
+    experiment = DemonstrationRun("step", np.full(3, 1.0), {})
+    return demo_rig.record_experiment(rig, experiment, time.monotonic() + left_s)
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ def _recorded(rig: Rig, left_s: float = 60.0) -> Path:
 )
 def test_the_levels_of_another_rig_keep_its_limits(name: str, high: float) -> None:
     """1.07 V heats TCLab to 47 °C; its limit is 50 °C."""
-    assert pace_of(shipped(name), None).high == high
+    assert pace_of(builtin(name), None).high == high
 
 
 @pytest.mark.parametrize("how", [["--virtual"], ["--rig-file", "rc"], []])
@@ -260,7 +260,7 @@ def test_an_interrupted_demonstration_can_be_repeated(
     short_demo: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patched:
-        patched.setattr(demo, "_reported", lambda *_: Path("nowhere/report.pdf").read_bytes())
+        patched.setattr(demo, "_write_report", lambda *_: Path("nowhere/report.pdf").read_bytes())
         assert main(["demo", "--virtual"]) == 1
     assert "armrig.toml" in names_in(short_demo)
 
@@ -284,7 +284,7 @@ def short_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(demo, "_record", lambda *_: "no time")
     monkeypatch.setattr(demo, "record_in_virtual_time", lambda *_, **__: [])
-    monkeypatch.setattr(demo, "_reported", report_of)
+    monkeypatch.setattr(demo, "_write_report", report_of)
     monkeypatch.setattr(demo, "_text", lambda *_: "")
     monkeypatch.setattr("armrig.excitation.demonstration.experiments", lambda *_: [])
     return tmp_path / "demo"

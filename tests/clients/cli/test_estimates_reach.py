@@ -11,8 +11,8 @@ import pytest
 import typer
 from armrig import Signals
 from armrig.cli import main
-from armrig.cli.identify import _for_outputs, _Search
-from armrig.cli.model_structures import requested
+from armrig.cli.identify import _for_outputs, _SearchRange
+from armrig.cli.model_structures import build_request
 from armrig.cli.physics import _check_step
 from armrig.cli.recorded_data import SignalChoice
 from armrig.estimation.request import DEFAULTS, Request
@@ -73,7 +73,7 @@ def _outputs(*outputs: str, source: str = "ab12") -> Any:
 
 def test_the_options_of_several_signals_reach_their_request() -> None:
     def of(*outputs: str, source: str = "ab12", **options: Any) -> Any:
-        wanted = requested(_asked(**options), len(outputs))
+        wanted = build_request(_asked(**options), len(outputs))
         integrator = bool(options.get("integrator"))
         return _for_outputs(wanted, _outputs(*outputs, source=source), integrator=integrator)
 
@@ -107,7 +107,7 @@ def test_the_options_of_several_signals_reach_their_request() -> None:
 def test_a_search_of_several_outputs_knows_which_integrate(
     outputs: tuple[str, ...], source: str, integrator: bool, found: tuple[str, ...]
 ) -> None:
-    data, wanted = _outputs(*outputs, source=source), _Search(fixed={"nk": 2}, most=3, jobs=1)
+    data, wanted = _outputs(*outputs, source=source), _SearchRange(fixed={"nk": 2}, most=3, jobs=1)
 
     chosen: Any = _for_outputs(wanted, data, integrator=integrator)
 

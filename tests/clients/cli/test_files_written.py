@@ -14,7 +14,7 @@ from armrig.cli import main
 from armrig.cli.results import name_runs, write_plot
 from armrig.plots.captions import sign
 from armrig.report.answers import read_answers
-from armrig.report.typesetting import compiled
+from armrig.report.typesetting import compile_pdf
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
@@ -154,7 +154,7 @@ def test_a_report_with_names_and_reasons_leaves_its_source(
     assert main([*report, "--answers", "reasons.toml", "--source", "source"]) == 0
 
     assert capsys.readouterr().out == "reasons.toml\nreport.pdf\n"
-    assert compiled(Path("source/report.typ"))[0] == Path("report.pdf").read_bytes()
+    assert compile_pdf(Path("source/report.typ"))[0] == Path("report.pdf").read_bytes()
     assert json.loads(Path("source/data.json").read_text())["cover"]["fields"][0][1] == "Ada"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig.cli.administration import _found, read_terms
+from armrig.cli.administration import _matching_term, read_terms
 from armrig_core.errors import InputError
 
 PAGE = (Path(__file__).parents[3] / "docs" / "glossary.md").read_text(encoding="utf-8")
@@ -44,14 +44,14 @@ def test_terms_containing_the_word_are_offered_before_similar_terms() -> None:
     terms = dict.fromkeys(["grain", "Static gain", "train", "gain of the loop", "again"], "")
 
     with pytest.raises(InputError, match=r"nearest: Static gain, gain of the loop, again$"):
-        _found("gain", terms)
+        _matching_term("gain", terms)
     with pytest.raises(InputError, match=r"nearest: train, grain$"):
-        _found("traim", terms)
+        _matching_term("traim", terms)
 
 
 @pytest.mark.parametrize(("typed", "term"), [("counts", "count"), ("Dead Bands", "dead band")])
 def test_a_plural_means_its_term(typed: str, term: str) -> None:
-    assert _found(typed, read_terms(PAGE)) == term
+    assert _matching_term(typed, read_terms(PAGE)) == term
 
 
 def test_the_glossary_without_a_term_lists_all_terms(capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.data.files.imported_file import ImportedData, read_imported, write_imported
-from armrig.recordings.files.imports import imported_as, imported_data
+from armrig.recordings.files.imports import load_import, name_of_import
 from msgspec.structs import replace
 
 N = 400
@@ -143,7 +143,7 @@ def test_a_command_that_needs_a_rig_refuses_imported_data_in_a_sentence(
 def test_an_import_keeps_the_numbers_units_and_hash_of_the_file(lamp: Path) -> None:
     import hashlib
 
-    data = imported_data(lamp)
+    data = load_import(lamp)
     assert data is not None
     read = armrig.load_data(lamp, input="power", signal="temp")
     directly = armrig.load_data("lamp.csv", input="power", signal="temp")
@@ -152,7 +152,7 @@ def test_an_import_keeps_the_numbers_units_and_hash_of_the_file(lamp: Path) -> N
     assert np.array_equal(read.y, directly.y)
     assert (read.Ts, read.unit, read.input_unit) == (0.5, "°C", "W")
     assert data.facts.sources[0].sha256 == hashlib.sha256(Path("lamp.csv").read_bytes()).hexdigest()
-    assert imported_as(data.facts.sources[0].sha256) == "@lamp"
+    assert name_of_import(data.facts.sources[0].sha256) == "@lamp"
 
 
 def test_missing_rows_and_breaks_are_those_of_the_file(
@@ -225,7 +225,7 @@ def test_a_changed_file_is_refused(
 
 
 def test_a_changed_value_is_found_by_the_hash(lamp: Path) -> None:
-    data = imported_data(lamp)
+    data = load_import(lamp)
     assert data is not None
     values = data.values.copy()
     values[3, 1] += 1e-9

@@ -51,7 +51,7 @@ def test_an_error_of_numpy_is_an_internal_error(
 def test_an_internal_error_stops_the_rig_that_the_command_holds(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(Rig, "_finished", _faulty)
+    monkeypatch.setattr(Rig, "_wait_for_end", _faulty)
     where = f"unixsock-stream/{tmp_path / 'rig.sock'}"
 
     with FakeDaemon(where) as daemon:

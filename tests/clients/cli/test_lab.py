@@ -169,7 +169,7 @@ def test_a_browser_is_opened_from_a_terminal_on_a_screen(
     screen: str, terminal: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     served, opened = serving.Served(url="http://page", browser_url="http://token"), list[str]()
-    given: list[serving.Settings] = []
+    given: list[serving.DashboardSettings] = []
     fakes: dict[str, Any] = {
         "armrig.dashboard.serving.dashboard": lambda x: given.append(x) or nullcontext(served),
         "webbrowser.open": opened.append,
@@ -186,7 +186,7 @@ def test_a_browser_is_opened_from_a_terminal_on_a_screen(
         assert url == "http://page"
 
     assert opened == (["http://token"] if terminal and screen else [])
-    assert given == [serving.Settings(command="armrig lab", starts_daemon=True)]
+    assert given == [serving.DashboardSettings(command="armrig lab", starts_daemon=True)]
 
 
 READY = ["rig ready, 0 V: /dev/a, rig 7; Ctrl-C ends the lab", "in a browser: U"]

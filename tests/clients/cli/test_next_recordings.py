@@ -15,14 +15,14 @@ import pytest
 from armrig.cli import main
 from armrig.cli.next_step import chassis, counterpart, next_line
 from armrig.recordings.files.origin import Origin
-from armrig.recordings.files.recording_names import named_path
+from armrig.recordings.files.recording_names import path_of_name
 from armrig.recordings.files.recording_summary import (
     VALIDATION_OF,
     RecordingSummary,
     summary_of,
 )
 from armrig.recordings.usability import all_doubts
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.rig.calibration import Calibration, Made, Potentiometer
 from armrig_daemon import config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
@@ -40,14 +40,14 @@ def record(
     folder: Path, draw: Random, rig: str, calibration: Calibration, seed: int
 ) -> list[RecordingSummary]:
     """Record some kinds of experiments of half a second; `blackbox` with its validation."""
-    settings = config.Config(rig=config.Rig(id=rig), calibration=calibration)
+    settings = config.Config(rig=config.RigIdentity(id=rig), calibration=calibration)
     service, made = VirtualService(settings, folder, seed=seed), list[RecordingSummary]()
     for kind in draw.sample(KINDS, draw.randint(1, 3)):
         name = draw.choice(["", "-first", "-monday"])
         of: dict[str, str] = {}
         for part in ["", "-validation"][: 1 + (kind == "blackbox")]:
             u = [0.5] * 10 + [4.0 if part else 4.5] * 40
-            run = Run(lease=LEASE, n=1, u=u, experiment=f"{kind}{part}{name}", details=of)
+            run = RunRequest(lease=LEASE, n=1, u=u, experiment=f"{kind}{part}{name}", details=of)
             made.append(summary_of(service.record(run)))
             of = {VALIDATION_OF: made[-1].run_id}
     return made
@@ -83,7 +83,7 @@ def handout(given: list[Path], capsys: pytest.CaptureFixture[str]) -> list[Path]
     Path("reasons.toml").unlink(missing_ok=True)
     assert main(["report", *map(str, given), "--questions", "reasons.toml"]) == 0
     words = capsys.readouterr().err.splitlines()[-1].partition("--handout ")[2].split()
-    return [named_path(word) for word in words[: words.index("--answers")]]
+    return [path_of_name(word) for word in words[: words.index("--answers")]]
 
 
 def assert_one_origin(paths: list[Path]) -> None:
@@ -157,7 +157,7 @@ def test_each_later_command_stays_with_the_origin_of_the_recording(
         names = [word for line in lines for word in line.split() if word.startswith("@")]
         others = [counterpart(s.path, "estimation"), counterpart(s.path, "validation")]
         for name in filter(None, [*names, *others, chassis(origin)]):
-            assert_one_origin([s.path, named_path(name)])
+            assert_one_origin([s.path, path_of_name(name)])
         # A command that records names the rig of the recording.
         records = [line.split() for line in lines if " collect " in line]
         assert all(("--rig" in words) == (s.rig != "1") for words in records)
@@ -168,5 +168,5 @@ def test_the_validation_of_a_recording_is_of_the_same_rig_although_its_id_occurs
 ) -> None:
     for a, b in pairwise(folder):
         if b.is_validation:
-            assert named_path(counterpart(a.path, "validation")) == b.path
-            assert named_path(counterpart(b.path, "estimation")) == a.path
+            assert path_of_name(counterpart(a.path, "validation")) == b.path
+            assert path_of_name(counterpart(b.path, "estimation")) == a.path

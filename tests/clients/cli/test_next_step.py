@@ -16,8 +16,8 @@ from armrig.cli.next_step import (
     NEXT,
     counterpart,
     free_name,
-    naming,
     next_line,
+    option_for_rig,
 )
 from armrig.excitation import telegraph
 from armrig.recordings.files.origin import Origin
@@ -296,10 +296,13 @@ def test_a_name_of_another_rig_is_not_given_again(pair: Path, described: str, wa
 
 
 def test_the_next_command_names_a_rig_and_endpoint_that_are_not_defaults() -> None:
-    assert naming("1") == naming("1", None) == naming("1", "") == ""
-    assert naming("7") == " --rig 7"
-    assert naming("1", "tcp/a:1") == " --connect tcp/a:1"
-    assert naming("7", "unixsock-stream/my rig") == " --rig 7 --connect 'unixsock-stream/my rig'"
+    assert option_for_rig("1") == option_for_rig("1", None) == option_for_rig("1", "") == ""
+    assert option_for_rig("7") == " --rig 7"
+    assert option_for_rig("1", "tcp/a:1") == " --connect tcp/a:1"
+    assert (
+        option_for_rig("7", "unixsock-stream/my rig")
+        == " --rig 7 --connect 'unixsock-stream/my rig'"
+    )
 
 
 def test_the_report_gets_the_first_unused_name(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import typer
 from armrig.cli import app
-from armrig.cli.recorded_data import loaded
+from armrig.cli.recorded_data import load_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.time_range import between
 from armrig_core.recording_file.manifest import Outcome
@@ -55,7 +55,7 @@ def test_the_end_of_a_part_is_not_reported_as_an_early_end_of_its_run(
     file = written(tmp_path, stopped)
 
     for part in ({}, {"stop": 1.0}, {"start": 0.1}):
-        loaded([file], None, **part)
+        load_recordings([file], None, **part)
         assert ("ended early" in capsys.readouterr().err) == (not part)
 
 
@@ -78,7 +78,7 @@ def test_a_command_warns_before_it_uses_a_run_that_ended_early(
     )
     path = written(tmp_path, data)
 
-    loaded([path], None)
+    load_recordings([path], None)
 
     told = capsys.readouterr().err
     assert told == (f"armrig: {path.name} {said}" if said else "")

@@ -264,7 +264,7 @@ def test_a_demonstration_completes_missing_recordings_in_virtual_time(
         return SimpleNamespace(models=models), folder / "report.pdf"
 
     work = {"_record": in_real_time, "record_in_virtual_time": in_virtual_time}
-    work |= {"_reported": reported, "_text": lambda *_: ""}
+    work |= {"_write_report": reported, "_text": lambda *_: ""}
     for name, function in work.items():
         monkeypatch.setattr(demo, name, function)
 

@@ -15,7 +15,7 @@ from armrig.rig.replies import RefusedError
 from armrig.rig.telemetry_stream import LiveGap
 from armrig_core.commands.codes import COMPLETE, RefusalCode
 from armrig_core.commands.commands import StatusReport
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from armrig_protocol.messages import Flag
 
 from tests.clients.fake_daemon import status_report
@@ -208,7 +208,7 @@ def test_a_line_of_watch_has_its_units() -> None:
     volts = {"u_applied_v": 1.25, "u_cmd_v": 3.0}
     one = sample(42)._replace(**volts, value_0=-1.0, value_1=0.5, t_host_ns=0)
 
-    channels = shipped("arm").channels
+    channels = builtin("arm").channels
     line = _sample_line(one._replace(t_sched_ns=-7_500), channels)
 
     assert line.split() == ["42", "1.250", "-57.30", "28.65", "7.5"]
@@ -274,7 +274,7 @@ def test_a_remote_recording_reports_the_reason_of_its_end(
     fakes: dict[str, Any] = {
         "rig.remote_recording.RemoteRecorder": recorder,
         "rig.remote_recording.RemoteRecording": lambda **_: recording,
-        "cli.runs.typed": str,
+        "cli.runs.command_line_name": str,
         "rig.session.open_connection": lambda *_, **__: connection,
     }
     for name, fake in fakes.items():

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from armrig.cli import app as armrig_app
 from armrig_core.access.endpoint import endpoint
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.rig.calibration_file import toml_of
 from armrig_daemon.command_line import app as armrigd_app
 from armrig_daemon.config import ArmSettings, Config
@@ -127,7 +127,9 @@ def _two_outputs() -> str:
 def _recorded(
     rig: VirtualService, u: Any, experiment: str, details: dict[str, Any] | None = None
 ) -> Path:
-    request = Run(lease=LEASE, n=0, u=u.tolist(), experiment=experiment, details=details or {})
+    request = RunRequest(
+        lease=LEASE, n=0, u=u.tolist(), experiment=experiment, details=details or {}
+    )
     return rig.record(request)
 
 

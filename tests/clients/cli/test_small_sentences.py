@@ -115,8 +115,8 @@ def test_values_of_a_table_are_aligned(
 def test_a_long_text_is_cut_at_its_end_and_a_spread_has_its_figures() -> None:
     long = "ab" * 500
 
-    assert overview._clipped(long) == long
-    assert overview._clipped(f"{long}c") == f"{long}…; --json shows all of it"
+    assert overview._clip(long) == long
+    assert overview._clip(f"{long}c") == f"{long}…; --json shows all of it"
     spread: Any = SimpleNamespace(n=9, p50=1.26, p99=7.04, max=12.6)
     assert overview._percentiles(spread, 1, "of x") == "p50 1.3, p99 7.0, max 13 µs; of x"
     spread.n = 0

@@ -15,7 +15,7 @@ from armrig_core.control.control_law import ControlLaw
 from armrig_core.control.evaluation import Latch, begin, decide, observe
 from armrig_core.control.sums import Rows, products
 from armrig_core.rig.description import Description
-from armrig_core.rig.volts import applied_code, code_of, volts_of
+from armrig_core.rig.volts import code_of, device_code, volts_of
 from numpy.random import Generator
 from numpy.typing import NDArray
 
@@ -136,11 +136,11 @@ def play(
         if program.monitor and state.monitor:
             alarm = monitor.alarm(program.monitor, state.monitor)
             by = f"{alarm.gate} of {alarm.name}" if alarm else by
-            lost = monitor.lost(program.monitor, state.monitor)
+            lost = monitor.find_lost_output(program.monitor, state.monitor)
             by = by or (f"{lost} lost" if lost else "")
         if by:
             break
-        underway.append(volts_of(applied_code(command.code, latch.pwm_bits)) - rest_v)
+        underway.append(volts_of(device_code(command.code, latch.pwm_bits)) - rest_v)
         is_loose = fault.kind == "loose" and k >= fault.k
         x = _next(plant, plant.fault_rows if is_loose else plant.rows, x, underway.popleft())
     return LoopRun(by, np.array(outputs) + plant.rest, np.array(codes), fault.k)

@@ -12,14 +12,14 @@ from armrig_core.commands.control_rehearsal import rehearse_control
 from armrig_core.control.control_law import ControlLaw, Reference
 from armrig_core.control.evaluation import Latch, begin, decide, observe
 from armrig_core.errors import InputError, InputTypeError
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
 TS = 0.01
 PI = control.tf([0.02, -0.0195], [1, -1], TS)
-HEATER = shipped("heater")
-TCLAB = shipped("tclab")
+HEATER = builtin("heater")
+TCLAB = builtin("tclab")
 SETTLING = control.ss(
     [[0.9, 0.1], [-0.2, 0.8]], [[0.1], [0.2]], [[1.0, 0.0], [0.3, 0.4]], np.zeros((2, 1)), TS
 )
@@ -292,7 +292,7 @@ def test_the_monitor_of_the_model_predicts_a_turning_output() -> None:
     assert law.order == 3  # those of C, and the newest angle
     assert law.monitor is not None
     turned = [
-        rehearse_control(law, np.full(N, 3.0), shipped("arm")).turned_rad for N in (800, 1200)
+        rehearse_control(law, np.full(N, 3.0), builtin("arm")).turned_rad for N in (800, 1200)
     ]
     assert (turned[1] - turned[0]) / 4.0 == pytest.approx(3.0, rel=0.01)
 

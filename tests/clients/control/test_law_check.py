@@ -12,7 +12,7 @@ import pytest
 from armrig.control.loop import LawMatrices, margins
 from armrig.control.plant import design_model
 from armrig_core.errors import InputError
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 
 from tests.clients.control import plants
 
@@ -102,7 +102,7 @@ def test_steps_have_the_overshoot_and_settling_of_a_direct_simulation() -> None:
         (lambda: armrig.pid(plants.model([0, 0.1], [1, -1.0])), "integrator=True"),
         (lambda: armrig.pid(plants.model([0, 0.1], [1, -0.9], Ts=2.0)), "0.005 to 1 s"),
         (lambda: armrig.pid(LAG, Ts=0.1), "the model has 0.05 s"),
-        (lambda: armrig.pid(LAG, rig=shipped("heater")), "a model of another rig"),
+        (lambda: armrig.pid(LAG, rig=builtin("heater")), "a model of another rig"),
         (lambda: armrig.pid(LAG, output="z"), "the model has y"),
         (lambda: armrig.pid(plants.model([0, 0.1, -0.1], [1, -0.9])), "cannot follow r"),
         (
@@ -200,7 +200,7 @@ def test_doubts_stand_in_the_first_line() -> None:
 
 def test_a_model_in_percent_commands_volts_at_the_pin_of_its_rig() -> None:
     """20 % are 1 V on the heater: gains and u0 of the law are those of the model in V."""
-    heater, more = shipped("heater"), {"output": "T1", "unit": "degC", "Ts": 1.0, "input": "power"}
+    heater, more = builtin("heater"), {"output": "T1", "unit": "degC", "Ts": 1.0, "input": "power"}
     percent = armrig.Fit.of_channel(B=[0, 0.01], F=[1, -0.98], nk=1, input_unit="%", **more)
 
     law = armrig.pid(percent, time_constant=20.0, rig=heater, u0=1.0, y0=33.0)

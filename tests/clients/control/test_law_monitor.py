@@ -12,7 +12,7 @@ from armrig.control.law_monitor import kalman_predictor, with_disturbance
 from armrig.control.plant import Plant, design_model
 from armrig_core.control.control_law import ControlLaw, Monitor, Reference
 from armrig_core.errors import InputError
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from msgspec.structs import replace
 
 from tests.clients.control import plants
@@ -30,7 +30,7 @@ NAMES: dict[str, Any] = {
 }
 POLE = float(np.exp(-1 / 175))
 HEATER = plants.model([0.0] * 16 + [9 * (1 - POLE)], [1, -POLE], 1.0, **NAMES)
-LATE = {"rig": shipped("heater"), "u0": 0.0, "y0": 23.0}
+LATE = {"rig": builtin("heater"), "u0": 0.0, "y0": 23.0}
 ARM = armrig.arm(armrig.ArmParameters())
 
 
@@ -178,7 +178,7 @@ def test_a_broken_thermometer_stops_the_heater_before_it_is_too_hot(fault: str, 
     law = armrig.pid(HEATER, time_constant=45.0, **LATE)
     r, rng = [23.0] * 60 + [43.0] * 900, np.random.default_rng(5)
 
-    run = play(law, shipped("heater"), _heater(), r, rng, Fault(fault, 0, 100))
+    run = play(law, builtin("heater"), _heater(), r, rng, Fault(fault, 0, 100))
 
     assert by in run.by
     assert bool(run.by) == bool(fault)
@@ -216,7 +216,7 @@ def test_the_zeros_of_two_outputs_are_those_of_one_voltage() -> None:
 
 def test_a_check_says_that_a_law_has_no_monitor() -> None:
     law = armrig.pid(HEATER, time_constant=45.0, **LATE)
-    options = {"rig": shipped("heater"), "draws": 5}
+    options = {"rig": builtin("heater"), "draws": 5}
 
     bare = armrig.check_law(replace(law, monitor=None), HEATER, **options)
 

@@ -8,10 +8,10 @@ import armrig
 import control
 import numpy as np
 import pytest
-from armrig.control.loop import LawMatrices, closed_loop, simulate
+from armrig.control.loop import LawMatrices, close_loop, simulate
 from armrig.control.plant import design_model
 from armrig_core.control.control_law import ControlLaw
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 
 from tests.clients.control import plants
 
@@ -33,7 +33,7 @@ def _two_outputs() -> armrig.Fit:
 def _predicted(law: ControlLaw, model: Any, r: Any) -> tuple[Any, Any]:
     design = design_model(model)
     matrices = LawMatrices.of(law, [o.name for o in design.outputs])
-    y, u = simulate(closed_loop(matrices, [design.plant]), r)
+    y, u = simulate(close_loop(matrices, [design.plant]), r)
     return y[0], u[0]
 
 
@@ -81,7 +81,7 @@ def test_a_predicted_step_is_that_of_a_direct_simulation(name: str, law: Any, mo
 def test_an_output_follows_r_despite_a_disturbance_of_the_input(law: ControlLaw) -> None:
     model = {2: LAG, 3: TWO_LAGS}[law.order] if not law.input_delay else LATE
     design = design_model(model)
-    loop = closed_loop(LawMatrices.of(law, ["y"]), [design.plant])
+    loop = close_loop(LawMatrices.of(law, ["y"]), [design.plant])
 
     y, u = simulate(loop, np.ones(3000), np.full(3000, 0.7))
 
@@ -94,7 +94,7 @@ def test_place_gives_the_poles_that_are_asked_for_and_those_of_the_observer() ->
     law = armrig.place(ARM, POLES, observer=observer, rate=True, Ts=0.01)
     design = design_model(ARM, Ts=0.01)
 
-    poles = closed_loop(LawMatrices.of(law, ["theta_1", "alpha"]), [design.plant]).poles[0]
+    poles = close_loop(LawMatrices.of(law, ["theta_1", "alpha"]), [design.plant]).poles[0]
 
     s = np.log(poles[np.abs(poles - 1) > 1e-9]) / 0.01
     np.testing.assert_allclose(
@@ -116,14 +116,14 @@ def test_a_law_of_a_system_without_units_has_those_of_its_rig() -> None:
     law = armrig.place(ARM, POLES, rate=True, Ts=0.01)
 
     assert [output.unit for output in law.outputs] == ["rad", "rad"]
-    law.check_rig(shipped("arm"), law.Ts_us, 0.0, 5.0)
+    law.check_rig(builtin("arm"), law.Ts_us, 0.0, 5.0)
 
 
 def test_with_a_dead_time_the_poles_are_exact_and_the_others_are_faster() -> None:
     law = armrig.place(LATE, [-0.7])
     design = design_model(LATE)
 
-    poles = closed_loop(LawMatrices.of(law, ["y"]), [design.plant]).poles[0]
+    poles = close_loop(LawMatrices.of(law, ["y"]), [design.plant]).poles[0]
 
     assert np.abs(poles - np.exp(-0.7 * 0.05)).min() < 1e-9
     assert law.order == 2

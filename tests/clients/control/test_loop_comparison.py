@@ -9,11 +9,11 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig_core.commands.commands import Control
+from armrig_core.commands.commands import ControlRequest
 from armrig_core.control.control_law import ControlLaw
 from armrig_core.errors import InputError
 from armrig_core.rig.arm import ArmParameters
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 
@@ -25,14 +25,14 @@ STEP = [2.0] * 150 + [4.0] * 150
 def recorded(
     folder: Path, law: ControlLaw, reference: list[float], rig: str = "arm"
 ) -> armrig.Recording:
-    described = None if rig == "arm" else shipped(rig)
+    described = None if rig == "arm" else builtin(rig)
     service = VirtualService(
         Config(),
         folder,
         seed=1,
         description=described,
     )
-    request = Control(lease=LEASE, n=0, law=law, reference=reference, unmonitored=True)
+    request = ControlRequest(lease=LEASE, n=0, law=law, reference=reference, unmonitored=True)
     return armrig.load(service.record(request))
 
 

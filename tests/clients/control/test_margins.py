@@ -12,7 +12,7 @@ import pytest
 from armrig.control.loop import (
     LawMatrices,
     are_stable,
-    closed_loop,
+    close_loop,
     frequency_grid,
     loop_response,
     margins,
@@ -126,10 +126,10 @@ def test_the_grid_begins_below_all_poles_and_ends_at_nyquist() -> None:
 
 def test_margins_of_draws_are_those_of_each_plant() -> None:
     plant = _plant(CASES["two lags"])
-    several = [plant.rescaled(k) for k in (0.5, 1.0, 1.3, 40.0)]
+    several = [plant.rescale(k) for k in (0.5, 1.0, 1.3, 40.0)]
     law = _law(1.0)
     w = frequency_grid(law, plant, Ts)
-    stable = are_stable(closed_loop(law, several), 0)
+    stable = are_stable(close_loop(law, several), 0)
 
     drawn = margins_of_draws(loop_response(law, several, np.exp(1j * w * Ts)), stable, w)
 
@@ -147,7 +147,7 @@ def test_a_rate_loop_is_stable_with_its_angle_at_exactly_1() -> None:
     law = armrig.place(arm, [-18 + 18j, -18 - 18j, -42], rate=True, Ts=0.01)
     plant = design_model(arm, Ts=0.01).plant
     matrices = LawMatrices.of(law, ["theta_1", "alpha"])
-    loop = closed_loop(matrices, [plant])
+    loop = close_loop(matrices, [plant])
 
     assert np.abs(loop.poles[0] - 1).min() < 1e-9
     assert margins(matrices, plant, 0.01).stable

@@ -18,7 +18,7 @@ from armrig.dashboard.bins import (
     signals_of,
 )
 from armrig_core.commands.commands import OutputRange
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Flag
 
@@ -204,8 +204,8 @@ def test_each_limit_of_the_daemon_belongs_to_the_signal_of_its_channel() -> None
     """In the page's unit; a limit of turns has a signal of its own, and 0 to 5 V is no limit."""
     ranges = {"theta_1": OutputRange(turns=3), "alpha": OutputRange(low=-pi / 6, high=pi / 4)}
 
-    drawn = {s.key: s for s in signals_of(shipped("arm"), ranges, (0.0, 4.5))}
-    (_, heated, _) = signals_of(shipped("heater"), {"T1": OutputRange(high=50.0)})
+    drawn = {s.key: s for s in signals_of(builtin("arm"), ranges, (0.0, 4.5))}
+    (_, heated, _) = signals_of(builtin("heater"), {"T1": OutputRange(high=50.0)})
 
     assert list(drawn) == ["u", "theta_1", "theta_1_turned", "velocity", "alpha"]
     assert drawn["u"].limits == (-inf, 4.5)
@@ -232,7 +232,7 @@ def test_the_rotation_is_counted_as_the_device_counts_it() -> None:
 
 
 def test_a_heater_has_its_input_in_percent_and_no_rate() -> None:
-    power, *temperatures = signals_of(shipped("heater"))
+    power, *temperatures = signals_of(builtin("heater"))
 
     assert (power.key, power.label, power.unit, power.own) == (
         "u",

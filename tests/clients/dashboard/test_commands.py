@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from armrig.dashboard.app import RigRoutes, application
 from armrig.dashboard.driver import RunState
-from armrig.dashboard.experiments import Experiment, plan_of
+from armrig.dashboard.experiments import ExperimentRequest, plan_of
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.guard import Connections
 from armrig.dashboard.stream import Stream
@@ -174,7 +174,7 @@ def test_the_laws_are_those_of_the_folder_of_the_recordings(driver: Any, tmp_pat
     ("file", "stored"), [("a/mine.csv", "mine.csv"), ("u.txt", "u.txt"), ("", "input.csv")]
 )
 def test_only_the_name_of_a_user_s_file_is_stored(file: str, stored: str) -> None:
-    plan = plan_of(Experiment(kind="csv", file=file, text="u\n1\n2\n"), "Ada")
+    plan = plan_of(ExperimentRequest(kind="csv", file=file, text="u\n1\n2\n"), "Ada")
 
     assert plan.details == {"input": "csv", "file": stored}
     assert plan.make(0, 0.01).tolist() == [1.0, 2.0]

@@ -62,7 +62,7 @@ def test_each_period_sends_the_newest_sample_and_every_other_message(
 
     assert [decode_sample(data) for data in given["sample"]] == [samples[2], samples[5]]
     assert given["transforms"] == [(s.value_0, s.value_1) for s in (samples[2], samples[5])]
-    heard = [protobuf.decoded(protobuf.LOG, data).message for data in given["event"]]
+    heard = [protobuf.decode_message(protobuf.LOG, data).message for data in given["event"]]
     assert heard == ["event 0", "event 1", "event 2"]
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from armrig.dashboard.experiments import Experiment, plan_of, previewed
+from armrig.dashboard.experiments import ExperimentRequest, plan_of, previewed
 from armrig.dashboard.laws import law_rows, read_law
 from armrig.excitation.reference import level_s
 from armrig_core.control.control_law import ControlLaw, LawOutput, Reference
 from armrig_core.errors import ArmrigError
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from msgspec.structs import replace
 
 from tests.clients.fake_daemon import FakeDaemon
@@ -58,7 +58,7 @@ def test_each_file_that_is_no_law_for_the_rig_has_its_reason(folder: Path) -> No
 
 def test_a_law_whose_sampling_time_the_rig_cannot_have_has_its_reason(folder: Path) -> None:
     """The rig may be blind for 1 s, so its samples are at most 0.2 s apart."""
-    text = shipped("heater").text.decode()
+    text = builtin("heater").text.decode()
     assert "blind_s = 10" in text
     blind = replace(STATUS, description=text.replace("blind_s = 10", "blind_s = 1"))
     slow = ControlLaw(
@@ -89,7 +89,9 @@ def test_no_other_file_is_read(folder: Path, file: str) -> None:
 
 def test_a_plan_in_control_is_that_of_the_command(folder: Path) -> None:
     plan = plan_of(
-        Experiment(kind="control", law="good.json", reference="staircase", levels=3, name="x"),
+        ExperimentRequest(
+            kind="control", law="good.json", reference="staircase", levels=3, name="x"
+        ),
         "Ada",
         folder,
     )
@@ -119,21 +121,21 @@ def test_a_plan_in_control_is_that_of_the_command(folder: Path) -> None:
 def test_a_run_in_control_is_refused_in_its_preview(
     folder: Path, asked: dict[str, Any], why: str
 ) -> None:
-    experiment = Experiment(**{"kind": "control", "law": "good.json"} | asked)
+    experiment = ExperimentRequest(**{"kind": "control", "law": "good.json"} | asked)
 
     with pytest.raises(ArmrigError, match=why):
         previewed(experiment, STATUS, STATUS.described, folder)
 
 
 def test_the_word_allows_a_law_without_a_monitor(folder: Path) -> None:
-    asked = Experiment(kind="control", law="blind.json", seconds=2.0, word="unmonitored")
+    asked = ExperimentRequest(kind="control", law="blind.json", seconds=2.0, word="unmonitored")
 
     assert plan_of(asked, "Ada", folder).unmonitored
 
 
 def test_the_preview_of_a_run_in_control_is_its_reference(folder: Path) -> None:
     sha256 = MONITORED.sha256
-    asked = Experiment(kind="control", law="good.json", seconds=0.04, law_sha256=sha256)
+    asked = ExperimentRequest(kind="control", law="good.json", seconds=0.04, law_sha256=sha256)
 
     found = previewed(asked, STATUS, STATUS.described, folder)
 

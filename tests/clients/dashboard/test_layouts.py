@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from armrig.physics.files.poses import write_transforms
 from armrig.recordings.files.loading import load
-from armrig_core.commands.commands import Run
-from armrig_core.rig.description import shipped
+from armrig_core.commands.commands import RunRequest
+from armrig_core.rig.description import builtin
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
@@ -27,7 +27,7 @@ RATE = "rate of θ₁"
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording of the daemon's, made in virtual time."""
     service = VirtualService(Config(), tmp_path_factory.mktemp("run"), seed=1)
-    return service.record(Run(lease=LEASE, n=0, u=[1.0] * 10, experiment="step"))
+    return service.record(RunRequest(lease=LEASE, n=0, u=[1.0] * 10, experiment="step"))
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def test_plotjuggler_s_rate_ignores_wraps_and_averages_converter_steps() -> None
 
 def test_the_layouts_of_a_described_rig_name_what_is_in_its_recording(tmp_path: Path) -> None:
     """A heater does not turn, so nothing shows a rate or a pose."""
-    described = shipped("heater")
+    described = builtin("heater")
     service = VirtualService(
         Config(),
         tmp_path,
@@ -90,7 +90,9 @@ def test_the_layouts_of_a_described_rig_name_what_is_in_its_recording(tmp_path: 
         switch_on=partial(Device, description=described),
         description=described,
     )
-    there = kinds_in_file(service.record(Run(lease=LEASE, n=0, u=[1.0] * 10, experiment="step")))
+    there = kinds_in_file(
+        service.record(RunRequest(lease=LEASE, n=0, u=[1.0] * 10, experiment="step"))
+    )
     curves, sources = plotjuggler_curves(described)
 
     named = foxglove_paths(described)

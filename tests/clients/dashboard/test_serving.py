@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 import pytest
 from armrig.dashboard import serving
 from armrig.dashboard.feed import Feed
-from armrig.dashboard.serving import HOST, Listener, Settings, _listening, dashboard
+from armrig.dashboard.serving import HOST, DashboardSettings, FeedListener, _listening, dashboard
 from armrig.rig.session import RigError
 from armrig_core.commands.commands import StatusReport
 from armrig_core.telemetry.history import Past
@@ -38,7 +38,7 @@ def test_two_dashboards_started_at_once_have_different_ports() -> None:
 
 
 def test_the_page_has_both_names_of_this_machine_and_a_single_use_code(tmp_path: Path) -> None:
-    with dashboard(Settings(connect=f"unixsock-stream/{tmp_path}/none.sock")) as served:
+    with dashboard(DashboardSettings(connect=f"unixsock-stream/{tmp_path}/none.sock")) as served:
         shown, given = urlsplit(served.url), urlsplit(served.browser_url)
         once, token = given.fragment.removeprefix("once="), shown.fragment.removeprefix("token=")
 
@@ -65,7 +65,7 @@ def test_the_page_and_the_visitors_have_the_requested_ports(tmp_path: Path) -> N
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
     with closing(_listening(HOST, 0, None)) as one, closing(_listening(HOST, 0, None)) as two:
         port, share_port = (free.getsockname()[1] for free in (one, two))
-    asked = Settings(
+    asked = DashboardSettings(
         connect=f"unixsock-stream/{tmp_path}/none.sock",
         port=port,
         share="127.0.0.1",
@@ -128,7 +128,7 @@ class _Rig:
         return self.report
 
 
-class _Listener(Listener):
+class _Listener(FeedListener):
     """Listener without a past, which ends by a clock."""
 
     def __init__(self, feed: Feed, clock: _Clock, found: list[float]) -> None:
@@ -235,7 +235,7 @@ def test_the_whole_history_is_read_and_does_not_count_as_live(
     monkeypatch.setattr(serving, "RemoteSource", lambda *_: source)
     feed = Feed()
 
-    Listener(feed, rig="1", connect=None, found=lambda: None)._take_past()
+    FeedListener(feed, rig="1", connect=None, found=lambda: None)._take_past()
 
     news, timing = feed.news(), feed.timing()
     assert (news.newest, news.age_s) == (sample(4), float("inf"))

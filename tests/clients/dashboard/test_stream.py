@@ -11,12 +11,12 @@ from contextlib import suppress
 import numpy as np
 import pytest
 from armrig.dashboard.bins import Rows
-from armrig.dashboard.driver import Driver, RunState
+from armrig.dashboard.driver import CommandSender, RunState
 from armrig.dashboard.feed import LATE_US, Feed
 from armrig.dashboard.stream import (
     MOST_VIEWERS,
     OPEN_S,
-    History,
+    HistoryEncoder,
     Stream,
     TooManyViewersError,
     Viewer,
@@ -44,7 +44,7 @@ async def _until(name: str, messages: AsyncIterator[bytes]) -> list[bytes]:
 
 def test_a_run_that_ends_between_two_updates_is_reported_as_ended() -> None:
     async def heard() -> list[bytes]:
-        driver = Driver(rig="1", connect=None)
+        driver = CommandSender(rig="1", connect=None)
         driver.run = BEFORE
         stream = Stream(Feed(), driver, may_command=True)
         filling = asyncio.create_task(stream.fill())
@@ -64,7 +64,7 @@ def test_a_run_that_ends_between_two_updates_is_reported_as_ended() -> None:
 
 def test_a_viewer_that_leaves_frees_its_place() -> None:
     async def counts() -> list[int]:
-        stream = Stream(Feed(), Driver(rig="1", connect=None), may_command=True)
+        stream = Stream(Feed(), CommandSender(rig="1", connect=None), may_command=True)
         found = []
         for read in (1, 4):
             messages = stream.messages(Viewer(lambda: None))
@@ -83,7 +83,7 @@ def test_a_new_viewer_receives_the_whole_history_and_each_state_once() -> None:
         feed = Feed()
         feed.add_samples([sample(k) for k in range(1203)], live=False)
         feed.news()
-        stream = Stream(feed, Driver(rig="1", connect=None), may_command=True)
+        stream = Stream(feed, CommandSender(rig="1", connect=None), may_command=True)
         messages = stream.messages(Viewer(lambda: None))
         first = await _until("whole", messages)
         filling = asyncio.create_task(stream.fill())
@@ -107,7 +107,7 @@ def test_a_new_viewer_receives_the_whole_history_and_each_state_once() -> None:
 
 def test_simultaneous_viewers_are_admitted_one_after_the_other() -> None:
     async def times_s() -> list[float]:
-        stream = Stream(Feed(), Driver(rig="1", connect=None), may_command=True)
+        stream = Stream(Feed(), CommandSender(rig="1", connect=None), may_command=True)
 
         async def let_in_s() -> float:
             await anext(stream.messages(Viewer(lambda: None)))
@@ -122,7 +122,7 @@ def test_simultaneous_viewers_are_admitted_one_after_the_other() -> None:
 
 def test_the_number_of_waiting_viewers_is_limited() -> None:
     async def tried() -> None:
-        stream = Stream(Feed(), Driver(rig="1", connect=None), may_command=True)
+        stream = Stream(Feed(), CommandSender(rig="1", connect=None), may_command=True)
         first = [
             asyncio.create_task(anext(stream.messages(Viewer(lambda: None))))  # type: ignore[arg-type]
             for _ in range(MOST_VIEWERS)
@@ -141,7 +141,7 @@ def test_the_number_of_waiting_viewers_is_limited() -> None:
 
 def test_visitors_do_not_take_the_places_of_operators() -> None:
     async def tried() -> None:
-        driver = Driver(rig="1", connect=None)
+        driver = CommandSender(rig="1", connect=None)
         visitors = Stream(Feed(), driver, may_command=False)
         for _ in range(MOST_VIEWERS):
             visitors.viewers.add(Viewer(lambda: None))
@@ -161,7 +161,7 @@ def test_the_history_is_encoded_once_for_all_waiting_viewers() -> None:
         return {"past": np.full((1, COLUMNS), float(len(made)))}
 
     async def heard() -> list[list[bytes]]:
-        history = History(rows)
+        history = HistoryEncoder(rows)
         first = [asyncio.create_task(history.messages()) for _ in range(100)]
         found = await asyncio.gather(*first)
         return [*found, await history.messages()]
@@ -175,7 +175,7 @@ def test_the_history_is_encoded_once_for_all_waiting_viewers() -> None:
 
 def test_a_viewer_that_leaves_does_not_cancel_the_history_of_others() -> None:
     async def heard() -> list[bytes]:
-        history = History(lambda: {"past": np.zeros((0, COLUMNS))})
+        history = HistoryEncoder(lambda: {"past": np.zeros((0, COLUMNS))})
         gone, stays = (asyncio.create_task(history.messages()) for _ in range(2))
         await asyncio.sleep(0)
         gone.cancel()

@@ -9,7 +9,7 @@ from armrig.data.experiments import Trend
 from armrig.data.treatment import prefilter, resample, retrend
 from armrig.estimation.polynomial_structures import oe
 from armrig.excitation import telegraph
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,7 +19,7 @@ B, F = [0.0, 0.4, 0.2], [1.0, -1.2, 0.6]
 def noise_free(N: int, seed: int = 1) -> Dataset:
     """Return B/F u."""
     u = telegraph(N, 0.2, seed=seed)
-    return Dataset(u=u, y=filtered(B, F, u), Ts=0.01, unit="rad")
+    return Dataset(u=u, y=apply_filter(B, F, u), Ts=0.01, unit="rad")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from armrig.data.merging import merge
 from armrig.data.treatment import hampel
 from armrig.data.treatment.wrong_samples import _gross, quantum, too_quiet
 from armrig.excitation import telegraph
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from numpy.typing import NDArray
 
 STD = 0.01
@@ -25,8 +25,8 @@ def clean(seed: int, N: int = 2000, *, noise: str = "of the output") -> Dataset:
     u = telegraph(N, 0.05, seed=rng)
     v = STD * rng.standard_normal(N)
     if noise == "of the equation":
-        v = filtered([1], [1, -1.5, 0.7], v)
-    return Dataset(u=u, y=filtered([0, 0.1, 0.05], [1, -1.5, 0.7], u) + v, Ts=0.01)
+        v = apply_filter([1], [1, -1.5, 0.7], v)
+    return Dataset(u=u, y=apply_filter([0, 0.1, 0.05], [1, -1.5, 0.7], u) + v, Ts=0.01)
 
 
 def spoilt(data: Dataset, where: list[int], size: float) -> Dataset:
@@ -76,7 +76,9 @@ def test_outliers_do_not_depend_on_the_unit_of_y() -> None:
 def test_a_rare_pulse_caused_by_the_input_is_not_an_outlier() -> None:
     u = np.zeros(2000)
     u[[300, 900, 1400]] = 5.0
-    y = filtered([0, 1.0, 0.5], [1.0], u) + 1e-4 * np.random.default_rng(1).standard_normal(2000)
+    y = apply_filter([0, 1.0, 0.5], [1.0], u) + 1e-4 * np.random.default_rng(1).standard_normal(
+        2000
+    )
     data = Dataset(u=u, y=y, Ts=0.01)
 
     assert marked(data, hampel(data)) == []
@@ -88,7 +90,7 @@ def test_right_samples_are_not_outliers(rig: tuple[float, float, float]) -> None
     records, (f1, growth, rail) = 0, rig
     for rng in map(np.random.default_rng, range(8)):
         u = telegraph(1200, 0.05, seed=rng)
-        y = filtered([0, 1 + f1], [1, f1], u)
+        y = apply_filter([0, 1 + f1], [1, f1], u)
         y += STD * (1 + growth * (u - 0.5)) * rng.standard_normal(1200)
         data = Dataset(u=u, y=np.minimum(y, rail), Ts=0.1)[200:]
         records += bool(marked(data, hampel(data)))
@@ -158,7 +160,7 @@ def test_each_experiment_is_searched_separately() -> None:
     [
         np.zeros(300),
         np.linspace(0.0, 1.0, 300),
-        filtered([0, 0.1, 0.05], [1, -1.5, 0.7], telegraph(300, 0.02)),
+        apply_filter([0, 0.1, 0.05], [1, -1.5, 0.7], telegraph(300, 0.02)),
     ],
 )
 def test_rounding_errors_are_not_outliers(y: NDArray[np.float64]) -> None:

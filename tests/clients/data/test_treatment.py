@@ -11,7 +11,7 @@ from armrig.data.merging import merge
 from armrig.data.step import LINE, MEAN, codes_of
 from armrig.data.treatment import IntegratingOutputWarning, detrend, difference, drift, retrend
 from armrig.excitation import telegraph
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -89,7 +89,7 @@ def test_a_line_removed_from_the_angle_causes_a_warning() -> None:
 def test_an_integrator_without_a_name_is_found_by_test(seed: int) -> None:
     rng = np.random.default_rng(seed)
     u = telegraph(1000, 0.1, seed=rng)
-    y = filtered([0, 0.1], [1, -1.5, 0.5], u) + 0.005 * rng.standard_normal(1000)
+    y = apply_filter([0, 0.1], [1, -1.5, 0.5], u) + 0.005 * rng.standard_normal(1000)
 
     with pytest.warns(IntegratingOutputWarning, match="is not seen to return"):
         detrend(Dataset(u=u, y=y, Ts=0.01), order=1)
@@ -100,7 +100,7 @@ def test_a_drift_under_a_stable_output_may_be_removed(seed: int) -> None:
     rng = np.random.default_rng(seed)
     u = telegraph(1000, 0.1, seed=rng)
     t = np.arange(1000)
-    y = filtered([0, 0.1], [1, -0.9], u) + 0.1 * rng.standard_normal(1000) + 0.02 * t
+    y = apply_filter([0, 0.1], [1, -0.9], u) + 0.1 * rng.standard_normal(1000) + 0.02 * t
 
     treated = detrend(Dataset(u=u, y=y, Ts=0.01), order=1)
 
@@ -171,10 +171,10 @@ def test_a_simulated_output_gets_the_level_of_the_measured_one() -> None:
     """The model was identified about the mean and does not contain the level."""
     rng = np.random.default_rng(0)
     u = telegraph(400, 0.2, seed=rng)
-    y = 20 + filtered([0, 0.5], [1, -0.5], u - 1)
+    y = 20 + apply_filter([0, 0.5], [1, -0.5], u - 1)
     treated = detrend(Dataset(u=u, y=y, Ts=0.1))
 
-    simulated = retrend(treated, filtered([0, 0.5], [1, -0.5], treated.u))
+    simulated = retrend(treated, apply_filter([0, 0.5], [1, -0.5], treated.u))
 
     # From another start, forgotten after 60 samples.
     np.testing.assert_allclose(simulated[60:], y[60:], atol=0.05)
@@ -195,8 +195,8 @@ def drifting(seed: int, rate: float, N: int = 1500) -> Dataset:
     """Return a stable output under a slow input and coloured noise, drifting."""
     rng = np.random.default_rng(seed)
     u = telegraph(N, 0.01, seed=rng)
-    v = filtered([1], [1, -0.9], 0.05 * rng.standard_normal(N))
-    y = filtered([0, 0.1], [1, -0.9], u) + v + rate * 0.1 * np.arange(N)
+    v = apply_filter([1], [1, -0.9], 0.05 * rng.standard_normal(N))
+    y = apply_filter([0, 0.1], [1, -0.9], u) + v + rate * 0.1 * np.arange(N)
     return Dataset(u=u, y=y, Ts=0.1, unit="V")
 
 
@@ -229,7 +229,7 @@ def test_each_output_has_a_drift_and_all_inputs_explain_it() -> None:
     """The second input rises slowly: without it, its effect would be a drift."""
     still, drifts = drifting(1, 0.0), drifting(1, 0.02)
     slow = 0.001 * np.arange(still.N) + 0.1 * telegraph(still.N, 0.1, seed=5)
-    y = np.column_stack([still.y + filtered([0, 0.2], [1, -0.9], slow), drifts.y])
+    y = np.column_stack([still.y + apply_filter([0, 0.2], [1, -0.9], slow), drifts.y])
     names = {"outputs": ["flow", "level"], "units": ["l/s", "V"]}
     signals = Signals(u=np.column_stack([still.u, slow]), y=y, Ts=0.1, **names)  # type: ignore[arg-type]
 

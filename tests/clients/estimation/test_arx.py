@@ -10,7 +10,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.data.treatment import detrend
 from armrig.estimation.arx import arx
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ def simulated(seed: int, N: int, noise: float = 0.0) -> Dataset:
     rng = np.random.default_rng(seed)
     u, e = rng.standard_normal((2, N))
     A = [1, -1.2, 0.6]
-    y = filtered([0, 1, 0.5], A, u) + filtered([1], A, noise * e)
+    y = apply_filter([0, 1, 0.5], A, u) + apply_filter([1], A, noise * e)
     return Dataset(u=u, y=y, Ts=1.0)
 
 
@@ -48,7 +48,7 @@ def test_noise_free_data_give_back_the_true_parameters(
     B = np.append(np.zeros(nk), [1.0, -0.4])
     u = np.random.default_rng(seed).standard_normal(100)
 
-    fit = arx(Dataset(u=u, y=filtered(B, A, u), Ts=1), na=2, nb=2, nk=nk)
+    fit = arx(Dataset(u=u, y=apply_filter(B, A, u), Ts=1), na=2, nb=2, nk=nk)
 
     np.testing.assert_allclose(fit.A, A, atol=1e-7)
     np.testing.assert_allclose(fit.B, B, atol=1e-7)

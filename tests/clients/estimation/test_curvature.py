@@ -8,11 +8,11 @@ import pytest
 from armrig.estimation.fit_warnings import parameter_warnings, search_warnings
 from armrig.estimation.problem import PolynomialProblem
 from armrig.models.estimate import Start
-from armrig.models.innovations import prepared
+from armrig.models.innovations import prepare
 from armrig.models.structure import Structure
 from armrig.numerics.curvature import MAX_TRUSTED, curvature, doubts
 from armrig.numerics.levenberg_marquardt import Optimum
-from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.polynomial import Array, apply_filter
 
 from tests.sampling import sampled
 
@@ -21,7 +21,7 @@ def plant(zero: float, *, N: int = 1000, std: float = 0.05, seed: int = 1) -> ar
     """Return data of poles 0.6 and 0.9 and a zero, with white noise."""
     rng = np.random.default_rng([seed, 28])
     u = armrig.telegraph(N, 0.1, 1.0, 4.0, seed=rng)
-    y = filtered([0.0, 1.0, -zero], np.poly([0.6, 0.9]), u)
+    y = apply_filter([0.0, 1.0, -zero], np.poly([0.6, 0.9]), u)
     return armrig.Dataset(u=u, y=y + std * rng.standard_normal(N), Ts=1.0)
 
 
@@ -99,7 +99,7 @@ def test_each_output_of_a_model_is_judged() -> None:
 
 def test_coloured_residuals_hide_no_curvature() -> None:
     data = plant(0.605, std=0.0)
-    v = filtered([1.0, 0.7, 0.3], [1.0], np.random.default_rng(5).standard_normal(data.N))
+    v = apply_filter([1.0, 0.7, 0.3], [1.0], np.random.default_rng(5).standard_normal(data.N))
     fit = armrig.oe(armrig.Dataset(u=data.u, y=data.y + 0.4 * v, Ts=1.0), nb=2, nf=2)
 
     assert fit.trusts_robust
@@ -187,12 +187,12 @@ def test_the_deviations_after_gaps_are_those_of_the_loss() -> None:
     for seed in range(8):
         rng = np.random.default_rng([5, seed])
         u, e = np.cumprod(np.where(rng.random(600) < 0.1, -1.0, 1.0)), rng.standard_normal(600)
-        y = filtered([0, 0.3, 0.2], [1, -1.4, 0.7], u)
-        y += 0.1 * filtered([1, 0.5], [1, -1.4, 0.7], e)
+        y = apply_filter([0, 0.3, 0.2], [1, -1.4, 0.7], u)
+        y += 0.1 * apply_filter([1, 0.5], [1, -1.4, 0.7], e)
         data = armrig.Dataset(u=u, y=y, Ts=0.1, valid=rng.random(600) >= 0.3)
         fit = armrig.armax(data, na=2, nb=2, nc=1, starts="few")
         n = Structure(na=2, nb=(2,), nc=1, nf=(0,), nk=(1,))
-        problem = PolynomialProblem(experiments=((prepared(data.u, data.y, n),),), rows=(n,))
+        problem = PolynomialProblem(experiments=((prepare(data.u, data.y, n),),), rows=(n,))
         own = [0, 1, 4]
         at, std, least = fit.theta[own], fit.std[own], problem.cost(fit.theta[own])
         steps = 0.2 * np.diag(std)
@@ -213,8 +213,8 @@ def test_arx_and_iv4_give_the_reason_why_no_deviation_is_trusted() -> None:
     for seed in range(40):
         rng = np.random.default_rng([seed, 6])
         u = np.cumprod(np.where(rng.random(120) < 0.1, -1.0, 1.0))
-        v = filtered([1.0], [1.0, -0.9], rng.standard_normal(120))
-        y = filtered([0.0, 0.5, 0.3], [1.0, -0.8, 0.2], u) + 0.3 * v
+        v = apply_filter([1.0], [1.0, -0.9], rng.standard_normal(120))
+        y = apply_filter([0.0, 0.5, 0.3], [1.0, -0.8, 0.2], u) + 0.3 * v
         data = armrig.Dataset(u=u, y=y, Ts=1.0)
         for fit in (armrig.arx(data, na=2, nb=2), armrig.iv4(data, na=2, nb=2)):
             reasons = [x for x in fit.findings if x.about in ("curved", "few_independent")]

@@ -11,13 +11,13 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation.data_faults import (
     _doubtful,
+    cause_of_indeterminacy,
     data_faults,
     level_without_input,
-    swapped,
-    undetermined,
+    swap_warnings,
 )
 from armrig.models.fit import Fit
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.numerics.quantities import percent
 
 from tests.sampling import sampled
@@ -39,7 +39,7 @@ def dataset(seed: int = 1, N: int = 1000, std: float = 0.2, noise: str = "normal
     rng = np.random.default_rng([seed, 3])
     u = np.repeat(rng.choice([0.0, 4.0], N // 5), 5)
     e = rng.standard_normal(N) if noise == "normal" else rng.laplace(size=N)
-    return Dataset(u=u, y=filtered(B, F, u) + std * e, Ts=0.1)
+    return Dataset(u=u, y=apply_filter(B, F, u) + std * e, Ts=0.1)
 
 
 @cache
@@ -112,10 +112,10 @@ def test_swapped_columns_are_reported_from_50_levels_and_a_quarter_on(
     u = np.arange(float(N)) % levels
     two, three = (np.arange(N) % k for k in (2.0, 3.0))
 
-    told = [x.about for x in swapped(Dataset(u=u, y=two, Ts=1.0))]
+    told = [x.about for x in swap_warnings(Dataset(u=u, y=two, Ts=1.0))]
 
     assert told == ["swapped"] * is_told
-    assert not [*swapped(Dataset(u=u, y=three, Ts=1.0))]
+    assert not [*swap_warnings(Dataset(u=u, y=three, Ts=1.0))]
 
 
 def test_the_cause_of_undetermined_parameters_is_named() -> None:
@@ -123,7 +123,9 @@ def test_the_cause_of_undetermined_parameters_is_named() -> None:
     constant = np.where(valid, 2.5, np.nan)
 
     def cause(u: np.ndarray, y: np.ndarray) -> str:
-        return undetermined(Dataset(u=u, y=y, Ts=1.0, valid=np.isfinite(y), output="speed"))
+        return cause_of_indeterminacy(
+            Dataset(u=u, y=y, Ts=1.0, valid=np.isfinite(y), output="speed")
+        )
 
     assert cause(np.full(20, -3.0), x).startswith("u is always -3: give the column that varies")
     assert cause(x, constant).startswith("speed is always 2.5: give the column that varies")
@@ -139,7 +141,7 @@ def test_a_mean_of_either_sign_is_doubtful_from_four_deviations_on(mean: float) 
     e = (e - np.nanmean(e)) / np.nanstd(e) + mean
 
     assert _doubtful([e[:150], e[150:]]) == (abs(mean) > 0.2)
-    assert _doubtful([filtered([1.0], [1.0, -0.6], e[25:])])
+    assert _doubtful([apply_filter([1.0], [1.0, -0.6], e[25:])])
 
 
 @pytest.mark.parametrize(("offset", "N"), [(3.0, 300), (-3.0, 70), (0.0, 300)])
@@ -149,7 +151,7 @@ def test_the_level_without_input_has_its_sign_its_unit_and_its_deviations(
     """The order of the model is a tenth of the known samples, at most 12."""
     rng = np.random.default_rng(9)
     u, e = rng.standard_normal((2, N))
-    y = filtered([0, 1.0], [1, -0.5], u + 2.0) + filtered([1], [1, -0.5], 0.3 * e) + offset
+    y = apply_filter([0, 1.0], [1, -0.5], u + 2.0) + apply_filter([1], [1, -0.5], 0.3 * e) + offset
     valid = np.arange(N) != 40
     data = Dataset(u=u + 2.0, y=y, Ts=1.0, valid=valid, unit="K", starts=(0, 25))
     n = min(12, (N - 1) // 10)
@@ -171,7 +173,11 @@ def test_the_level_without_input_has_its_sign_its_unit_and_its_deviations(
 
 def test_a_level_far_from_the_data_is_not_stated_as_a_value() -> None:
     u = 0.3 + 0.02 * np.random.default_rng(9).choice([-1.0, 1.0], 500)
-    y = 90 + filtered([0, -3.0], [1, -0.9], u) + 0.01 * np.random.default_rng(8).normal(size=500)
+    y = (
+        90
+        + apply_filter([0, -3.0], [1, -0.9], u)
+        + 0.01 * np.random.default_rng(8).normal(size=500)
+    )
 
     found = level_without_input(Dataset(u=u, y=y, Ts=1.0, input="flow", output="T"))
 
@@ -181,7 +187,7 @@ def test_a_level_far_from_the_data_is_not_stated_as_a_value() -> None:
 
 def test_data_without_a_level_have_no_finding() -> None:
     u = np.random.default_rng(9).standard_normal(200)
-    data = Dataset(u=u, y=filtered([0, 1.0], [1, -0.5], u), Ts=1.0)
+    data = Dataset(u=u, y=apply_filter([0, 1.0], [1, -0.5], u), Ts=1.0)
 
     assert level_without_input(data, least=0.0) is None
     assert level_without_input(data[:9], least=0.0) is None
@@ -200,7 +206,7 @@ def test_noise_is_not_an_outlier_and_a_mean_of_u_is_not_an_offset(noise: str) ->
 def test_steps_missed_by_a_poor_model_are_not_outliers() -> None:
     """Few large residuals, each after a step of the input: the order is too low."""
     u = np.repeat([0.0, 1.0, 0.0, 1.0, 0.0], 400)
-    y = filtered([0, 0, 0, 0, 0, 1.0], [1.0, -0.3], u)
+    y = apply_filter([0, 0, 0, 0, 0, 1.0], [1.0, -0.3], u)
     y += 1e-3 * np.random.default_rng(1).standard_normal(u.size)
 
     assert not about(armrig.arx(Dataset(u=u, y=y, Ts=1.0), na=1, nb=1), "hampel")
@@ -223,7 +229,7 @@ def test_a_level_that_remains_without_the_means_is_due_to_a_transient() -> None:
     """The advice to remove the means would be of no use."""
     k = np.arange(100.0)
     u = np.where(k // 13 % 2, 1.0, 3.0)
-    y = filtered([0, 0.2], [1, -0.9], u) + 0.01 * np.sin(9 * k**2)
+    y = apply_filter([0, 0.2], [1, -0.9], u) + 0.01 * np.sin(9 * k**2)
 
     fit = armrig.arx(armrig.detrend(Dataset(u=u, y=y, Ts=0.1)), na=1, nb=1)
 
@@ -253,7 +259,7 @@ def test_coloured_noise_is_not_an_offset() -> None:
     """30 runs with noise filtered by a pole at 0.9, which an OE model leaves coloured."""
     for seed in range(30):
         data = dataset(seed, 500, std=0.0)
-        v = filtered([1.0], [1.0, -0.9], np.random.default_rng([seed, 4]).standard_normal(500))
+        v = apply_filter([1.0], [1.0, -0.9], np.random.default_rng([seed, 4]).standard_normal(500))
         fit = armrig.oe(data.replaced(y=data.y + 0.1 * v, step=None), nb=2, nf=2, starts="few")
 
         assert not about(fit, "at u = 0")

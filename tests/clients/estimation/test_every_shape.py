@@ -8,8 +8,8 @@ import armrig
 import numpy as np
 import pytest
 from armrig import Signals
-from armrig.estimation.search import ranked
-from armrig.numerics.polynomial import Array, filtered
+from armrig.estimation.search import rank_ends
+from armrig.numerics.polynomial import Array, apply_filter
 from armrig_core.errors import InputError
 
 from tests.plants import chassis_and_arm
@@ -33,7 +33,7 @@ def inputs(rng: np.random.Generator, nu: int = 2) -> Array:
 def noise(rng: np.random.Generator, C: Any = (1,), D: Any = (1,)) -> Array:
     """Return correlated noise of both outputs, filtered by C/D."""
     e = rng.multivariate_normal([0, 0], LAMBDA, N)
-    return np.column_stack([filtered(C, D, x) for x in e.T])
+    return np.column_stack([apply_filter(C, D, x) for x in e.T])
 
 
 def plant(
@@ -42,7 +42,7 @@ def plant(
     rng = np.random.default_rng(seed)
     u = inputs(rng)
     y = np.column_stack(
-        [sum(filtered(B[i][j], F[i][j], u[:, j]) for j in range(2)) for i in range(2)]
+        [sum(apply_filter(B[i][j], F[i][j], u[:, j]) for j in range(2)) for i in range(2)]
     )
     y += scale * noise(rng, C, D)
     valid = rng.random(y.shape) >= missing
@@ -100,7 +100,7 @@ def unequal(option: str) -> Signals:
     """Return data of two experiments, in which each output depends on one of the inputs."""
     rng = np.random.default_rng(2)
     u, e = inputs(rng) + 0.1, noise(rng, (1, 0.4), (1, -0.8))
-    y = np.column_stack([filtered([0, 1, 0.5], [1, -1.5, 0.7], x) for x in u.T]) + e
+    y = np.column_stack([apply_filter([0, 1, 0.5], [1, -1.5, 0.7], x) for x in u.T]) + e
     y = np.cumsum(y, axis=0) if option == "integrator" else y
     valid = rng.random(y.shape) > (0.02 if option == "gaps" else 0.0)
     names: dict[str, Any] = {"outputs": ["a", "b"], "inputs": ["u", "v"]}
@@ -151,10 +151,10 @@ def integrated(seed: int, missing: float = 0.0) -> Signals:
     A = np.convolve([1, -1], [1, -0.7])
     y = np.column_stack(
         [
-            filtered([0, 0.5, 0.2], A, u[:, 0])
-            + filtered([0, 0.3], A, u[:, 1])
-            + filtered([1, 0.5], A, e[:, 0]),
-            filtered([0, 1], [1, -0.8], u[:, 0]) + filtered([1, 0.3], [1, -0.8], e[:, 1]),
+            apply_filter([0, 0.5, 0.2], A, u[:, 0])
+            + apply_filter([0, 0.3], A, u[:, 1])
+            + apply_filter([1, 0.5], A, e[:, 0]),
+            apply_filter([0, 1], [1, -0.8], u[:, 0]) + apply_filter([1, 0.3], [1, -0.8], e[:, 1]),
         ]
     )
     valid = rng.random(y.shape) >= missing
@@ -257,10 +257,10 @@ def test_an_armax_model_may_share_its_denominator() -> None:
     e = noise(rng)
     y = np.column_stack(
         [
-            filtered([0, 1], A, u[:, 0]) + filtered([0, 0.5], A, u[:, 1]),
-            filtered([0, 0.3], A, u[:, 0]) + filtered([0, -1], A, u[:, 1]),
+            apply_filter([0, 1], A, u[:, 0]) + apply_filter([0, 0.5], A, u[:, 1]),
+            apply_filter([0, 0.3], A, u[:, 0]) + apply_filter([0, -1], A, u[:, 1]),
         ]
-    ) + np.column_stack([filtered([1, c], A, x) for c, x in zip((0.5, -0.4), e.T, strict=True)])
+    ) + np.column_stack([apply_filter([1, c], A, x) for c, x in zip((0.5, -0.4), e.T, strict=True)])
     data = Signals(u=u, y=y, Ts=0.1)
 
     fit = armrig.armax(data, na=2, nb=1, nc=1, shared="denominator")
@@ -311,18 +311,18 @@ def test_searches_that_end_at_one_minimum_keep_their_order() -> None:
     """A search may end lower than another by rounding only, differently on each processor."""
     ends = {"first": 2.0 + 1e-9, "higher": 2.1, "second": 2.0, "none": float("nan")}
 
-    assert ranked(ends, ends.__getitem__) == ["first", "second", "higher", "none"]
+    assert rank_ends(ends, ends.__getitem__) == ["first", "second", "higher", "none"]
 
 
 def test_the_output_of_an_integrator_is_constant_without_an_input() -> None:
     rng = np.random.default_rng(3)
     u = inputs(rng, 1)[:, 0] + 0.2
-    y = filtered([0, 0.1, 0.05], np.convolve([1, -1], [1, -0.9]), u) + 0.02 * rng.normal(size=N)
+    y = apply_filter([0, 0.1, 0.05], np.convolve([1, -1], [1, -0.9]), u) + 0.02 * rng.normal(size=N)
     fit = armrig.oe(Signals(u=u, y=y, Ts=0.1), nb=2, nf=2, integrator="y")
     pulse = np.zeros((100_000, 1))
     pulse[0] = 1.0
 
-    simulated = fit.form.realised().simulated(pulse)[:, 0]
+    simulated = fit.form.innovations_form().simulated(pulse)[:, 0]
 
     assert np.ptp(simulated[1000:]) < 1e-14 * abs(simulated[-1])
 

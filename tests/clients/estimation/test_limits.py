@@ -8,11 +8,11 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 U = armrig.telegraph(500, 0.1, 1.0, 4.0, seed=1)
 E = np.random.default_rng(28).standard_normal(500)
-Y = filtered([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], U) + 0.1 * E
+Y = apply_filter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], U) + 0.1 * E
 ESTIMATORS: dict[str, dict[str, Any]] = {
     "arx": {"na": 2, "nb": 2},
     "iv4": {"na": 2, "nb": 2},
@@ -65,7 +65,7 @@ def test_units_change_neither_fit_nor_whiteness(estimator: str, factor: float) -
 
 def test_a_root_of_c_on_the_unit_circle_is_reported() -> None:
     """White noise of the differenced output has C = 1 - q^-1; the predictor stays stable."""
-    y = np.diff(filtered([0.0, 1.0], [1.0, -0.5], U) + E)
+    y = np.diff(apply_filter([0.0, 1.0], [1.0, -0.5], U) + E)
 
     fit = armrig.armax(armrig.Dataset(u=np.diff(U), y=y, Ts=1.0), na=1, nb=1, nc=1)
 

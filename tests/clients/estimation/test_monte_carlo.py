@@ -12,7 +12,7 @@ from armrig.estimation.arx import arx
 from armrig.estimation.polynomial_structures import oe
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.validation.residuals import residuals
 
 from tests.sampling import sampled
@@ -25,16 +25,16 @@ def arx_data(seed: int) -> Dataset:
     """Return A y = B u + e with white e."""
     rng = np.random.default_rng(seed)
     u = telegraph(N, 0.3, seed=rng)
-    e = filtered([1], A, 0.3 * rng.standard_normal(N))
-    return Dataset(u=u, y=filtered(B, A, u) + e, Ts=1)
+    e = apply_filter([1], A, 0.3 * rng.standard_normal(N))
+    return Dataset(u=u, y=apply_filter(B, A, u) + e, Ts=1)
 
 
 def oe_data(seed: int, colour: float = 0.0) -> Dataset:
     """Return y = B/A u + e/(1 - colour q^-1)."""
     rng = np.random.default_rng(seed)
     u = telegraph(N, 0.3, seed=rng)
-    e = filtered([1], [1, -colour], 0.3 * rng.standard_normal(N + 50))[50:]
-    return Dataset(u=u, y=filtered(B, A, u) + e, Ts=1)
+    e = apply_filter([1], [1, -colour], 0.3 * rng.standard_normal(N + 50))[50:]
+    return Dataset(u=u, y=apply_filter(B, A, u) + e, Ts=1)
 
 
 @cache
@@ -107,8 +107,8 @@ def test_few_lags_allow_for_the_parameters_too(ahead: int) -> None:
     p = []
     for seed in range(200):
         noisy, fresh = oe_data(seed), oe_data(seed + ahead)
-        e = filtered([1], A, np.random.default_rng(seed).standard_normal(N))
-        f = filtered([1], A, np.random.default_rng(seed + ahead).standard_normal(N))
+        e = apply_filter([1], A, np.random.default_rng(seed).standard_normal(N))
+        f = apply_filter([1], A, np.random.default_rng(seed + ahead).standard_normal(N))
         weak = arx(Dataset(u=noisy.u, y=e, Ts=1), na=2, nb=1)
         white = residuals(weak, Dataset(u=fresh.u, y=f, Ts=1), lags=3).white.p_value
         p.append([white, residuals(estimate_oe(seed), fresh, lags=4).missing_dynamics])

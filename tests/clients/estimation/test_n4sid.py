@@ -16,7 +16,7 @@ from armrig.estimation.subspace_estimate import _without_past
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
 from armrig.models.structure_table import Focus, Weights
-from armrig.numerics.polynomial import filtered, impulse
+from armrig.numerics.polynomial import apply_filter, impulse
 from armrig.validation.comparison import compare
 from numpy.typing import ArrayLike, NDArray
 
@@ -32,7 +32,7 @@ B, F, C = [0.0, 1.0, 0.5], [1.0, -1.2, 0.6], [1.0, -0.5, 0.2]
 def _data(seed: int, N: int = 2000, std: float = 0.5) -> Dataset:
     rng = np.random.default_rng(seed)
     u = telegraph(N, 0.3, 1.5, 3.5, seed=rng) - 2.5
-    y = filtered(B, F, u) + filtered(C, F, std * rng.standard_normal(N))
+    y = apply_filter(B, F, u) + apply_filter(C, F, std * rng.standard_normal(N))
     return Dataset(u=u, y=y, Ts=1.0)
 
 
@@ -41,7 +41,7 @@ def _data(seed: int, N: int = 2000, std: float = 0.5) -> Dataset:
 def test_noise_free_data_give_back_the_true_system(weights: Weights, nk: int) -> None:
     u = np.random.default_rng(1).standard_normal(600)
     numerator = np.append(np.zeros(nk), [1.0, 0.5, 0.3][: 2 + (nk == 0)])
-    y = filtered(numerator, F, u)
+    y = apply_filter(numerator, F, u)
 
     fit = n4sid(Dataset(u=u[50:], y=y[50:], Ts=1.0), 2, weights, nk=nk)
 
@@ -51,7 +51,7 @@ def test_noise_free_data_give_back_the_true_system(weights: Weights, nk: int) ->
 
 def test_an_input_of_one_frequency_is_refused() -> None:
     u = np.sin(0.5 * np.arange(300))
-    y = filtered(B, F, u) + 0.1 * np.random.default_rng(1).standard_normal(300)
+    y = apply_filter(B, F, u) + 0.1 * np.random.default_rng(1).standard_normal(300)
 
     with pytest.raises(ValueError, match="u determines only 2 of 3 numerator coefficients"):
         n4sid(Dataset(u=u, y=y, Ts=1.0), 3, nk=1)
@@ -108,9 +108,9 @@ def test_an_integrating_angle_without_an_integrator_causes_a_warning(plant: Hand
 def test_an_integrator_shown_only_by_the_data_causes_a_warning() -> None:
     rng = np.random.default_rng(3)
     u = np.repeat(rng.choice([-1.0, 1.0], 60), 10)
-    v = filtered([1.0], [1.0, -0.9], rng.standard_normal(600))
+    v = apply_filter([1.0], [1.0, -0.9], rng.standard_normal(600))
     integrates, slow = (
-        Dataset(u=u, y=filtered([0.0, 0.05], np.convolve([1, -p], [1, -0.8]), u) + v, Ts=1.0)
+        Dataset(u=u, y=apply_filter([0.0, 0.05], np.convolve([1, -p], [1, -0.8]), u) + v, Ts=1.0)
         for p in (1.0, 0.95)
     )
 
@@ -127,7 +127,9 @@ def test_coloured_residuals_are_separated_from_a_wrong_order() -> None:
     """n4sid does not minimise the one-step errors, so the advice names armax."""
     rng = np.random.default_rng(1)
     u, e = rng.choice([-1.0, 1.0], 1000), 0.5 * rng.standard_normal(1000)
-    data = Dataset(u=u, y=filtered(B, F, u) + filtered([1.0], [1.0, 0, 0, 0, -0.9], e), Ts=1.0)
+    data = Dataset(
+        u=u, y=apply_filter(B, F, u) + apply_filter([1.0], [1.0, 0, 0, 0, -0.9], e), Ts=1.0
+    )
 
     low, enough = (n4sid(data, order) for order in (2, 6))
 
@@ -138,7 +140,7 @@ def test_coloured_residuals_are_separated_from_a_wrong_order() -> None:
 def test_a_pole_significantly_outside_the_circle_is_reported_unstable() -> None:
     rng = np.random.default_rng(1)
     u = rng.standard_normal(400)
-    y = filtered([0.0, 1.0], [1.0, -1.01], u) + 0.1 * rng.standard_normal(400)
+    y = apply_filter([0.0, 1.0], [1.0, -1.01], u) + 0.1 * rng.standard_normal(400)
 
     warnings = n4sid(Dataset(u=u, y=y, Ts=1.0), 1).warnings
 
@@ -179,7 +181,7 @@ def test_gaps_and_several_experiments_are_estimated() -> None:
 def test_noise_is_not_estimated_from_the_time_before_the_first_sample(missing: bool) -> None:
     """The noise begins far from 0, and A y looks back on it."""
     e = 0.3 * np.random.default_rng(3).standard_normal((2, 500))
-    v = [filtered(C, F, x) + filtered([1e3, -5e2], F, impulse([1.0], 500)) for x in e]
+    v = [apply_filter(C, F, x) + apply_filter([1e3, -5e2], F, impulse([1.0], 500)) for x in e]
     for x in v:
         x[100] = np.nan if missing else x[100]
 
@@ -222,13 +224,13 @@ def _of_fourth_order(seed: int, N: int, C: ArrayLike, D: ArrayLike) -> tuple[Dat
     rng = np.random.default_rng(seed)
     u = telegraph(N, 0.3, 1.5, 3.5, seed=rng) - 2.5
     e = 0.5 * rng.standard_normal(N)
-    return Dataset(u=u, y=filtered(B4, A4, u) + filtered(C, D, e), Ts=1.0), e
+    return Dataset(u=u, y=apply_filter(B4, A4, u) + apply_filter(C, D, e), Ts=1.0), e
 
 
 def _excess(fits: list[Fit], C: ArrayLike, D: ArrayLike) -> float:
     """Return how far the mean one-step loss on fresh data is above the least, as a share of it."""
     fresh, e = _of_fourth_order(1000, 4000, C, D)
-    own = [filtered(x.A, x.C, fresh.y) - filtered(x.B, x.C, fresh.u) for x in fits]
+    own = [apply_filter(x.A, x.C, fresh.y) - apply_filter(x.B, x.C, fresh.u) for x in fits]
     return float(np.mean((np.array(own) - e) ** 2) / np.mean(e**2))
 
 
@@ -256,7 +258,7 @@ def test_noise_on_the_output_keeps_the_long_horizon() -> None:
 def test_a_model_for_simulation_may_have_a_pole_at_1_alone(noise: float) -> None:
     rng = np.random.default_rng(4)
     u = telegraph(500, 0.3, 1.5, 3.5, seed=rng) - 2.5
-    y = filtered([0.0, 0.2], [1.0, -1.0], u) + noise * rng.standard_normal(500)
+    y = apply_filter([0.0, 0.2], [1.0, -1.0], u) + noise * rng.standard_normal(500)
     data = Dataset(u=u, y=y, Ts=1.0)
 
     fit = n4sid(data, 1, integrator=True, focus="simulation")
@@ -274,7 +276,7 @@ def test_a_model_for_simulation_is_the_best_output_error_model(integrator: bool)
     A = np.convolve(F, [1.0, -1.0] if integrator else [1.0])
     rng = np.random.default_rng(4)
     u = telegraph(1500, 0.3, 1.5, 3.5, seed=rng) - 2.5
-    y = filtered(B, A, u) + filtered([1.0], [1.0, -0.9], 0.3 * rng.standard_normal(1500))
+    y = apply_filter(B, A, u) + apply_filter([1.0], [1.0, -0.9], 0.3 * rng.standard_normal(1500))
     data = Dataset(u=u, y=y, Ts=1.0)
     n = A.size - 1
 
@@ -296,7 +298,7 @@ def test_a_model_for_simulation_is_stable_and_runs_through_gaps() -> None:
     parts = []
     for _ in range(2):
         u = rng.standard_normal(400)
-        y = filtered([0.0, 1.0], [1.0, -1.005], u) + rng.standard_normal(400)
+        y = apply_filter([0.0, 1.0], [1.0, -1.005], u) + rng.standard_normal(400)
         parts.append(Dataset(u=u, y=y, Ts=1.0, valid=valid))
 
     free = n4sid(merge(parts), 1)
@@ -309,7 +311,7 @@ def test_a_model_for_simulation_is_stable_and_runs_through_gaps() -> None:
 
 def test_orders_weights_and_horizons_out_of_range_are_refused() -> None:
     u = np.random.default_rng(1).standard_normal(300)
-    clean = Dataset(u=u, y=filtered(B, F, u), Ts=1.0)
+    clean = Dataset(u=u, y=apply_filter(B, F, u), Ts=1.0)
 
     assert n4sid(clean).order == 2
     with pytest.raises(ValueError, match="the data show 2 states; lower the order"):
@@ -330,7 +332,7 @@ def test_outputs_that_are_never_measured_together_have_independent_noise() -> No
     """Two outputs are read in turn."""
     rng = np.random.default_rng(5)
     u = rng.standard_normal((400, 1))
-    y = np.column_stack([filtered([0, 1.0], [1, -0.5], u[:, 0])] * 2)
+    y = np.column_stack([apply_filter([0, 1.0], [1, -0.5], u[:, 0])] * 2)
     y += 0.1 * rng.standard_normal(y.shape)
     valid = np.arange(400)[:, None] % 2 == [[0, 1]]
     data = Signals(u=u, y=y, valid=valid, Ts=0.1)

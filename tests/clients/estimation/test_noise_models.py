@@ -15,7 +15,7 @@ from armrig.estimation.iv4 import iv4
 from armrig.estimation.polynomial_structures import ararx, armax, bj, oe, pem
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.numerics.whiteness import autoregression
 from armrig.validation.residuals import residuals
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ def data(seed: int, H: tuple[NDArray, NDArray], N: int = 600, std: float = 0.5) 
     """Return y = B/A u + H e from a state of long ago."""
     rng = np.random.default_rng(seed)
     u = telegraph(N + 200, 0.3, 1.5, 3.5, seed=rng) - 2.5
-    y = filtered(B, A, u) + filtered(*H, std * rng.standard_normal(N + 200))
+    y = apply_filter(B, A, u) + apply_filter(*H, std * rng.standard_normal(N + 200))
     return Dataset(u=u[200:], y=y[200:], Ts=0.1, output="speed", unit="rad/s")
 
 
@@ -181,7 +181,7 @@ def test_an_input_offset_is_estimated_with_the_model(case: Case) -> None:
 def test_the_initial_state_is_kept_if_an_f_test_is_significant() -> None:
     rng = np.random.default_rng(7)
     u = rng.standard_normal(400)
-    y = filtered(B, A, u) + filtered(C, D, 0.05 * rng.standard_normal(400))
+    y = apply_filter(B, A, u) + apply_filter(C, D, 0.05 * rng.standard_normal(400))
     orders = {"nb": 2, "nc": 1, "nd": 1, "nf": 2}
     rest, moving = Dataset(u=u, y=y, Ts=1), Dataset(u=u[100:], y=y[100:], Ts=1)
 
@@ -220,7 +220,9 @@ def test_a_prediction_without_c_finds_the_level_of_u(options: dict[str, Any]) ->
     """One sample ahead the model errs by the noise alone, though the voltmeter is 2 V off."""
     rng = np.random.default_rng(12)
     u = rng.choice([-1.0, 1.0], 400)
-    y = filtered([0, 0.3], [1, -0.6], u) + filtered([1], [1, -0.6], 0.05 * rng.standard_normal(400))
+    y = apply_filter([0, 0.3], [1, -0.6], u) + apply_filter(
+        [1], [1, -0.6], 0.05 * rng.standard_normal(400)
+    )
     y = np.cumsum(y) if "integrator" in options else y
     fit = armax(Dataset(u=u, y=y, Ts=0.1), na=2, nb=2, nc=0, **options)
 
@@ -278,7 +280,7 @@ def test_the_four_stages_are_those_of_the_textbook() -> None:
     Phi = np.column_stack([-seen.y[n - 1], -seen.y[n - 2], seen.u[n - 1], seen.u[n - 2]])
 
     def instruments(theta: NDArray) -> NDArray:
-        x = filtered(np.append(0.0, theta[2:]), np.append(1.0, theta[:2]), seen.u)
+        x = apply_filter(np.append(0.0, theta[2:]), np.append(1.0, theta[:2]), seen.u)
         return np.column_stack([-x[n - 1], -x[n - 2], seen.u[n - 1], seen.u[n - 2]])
 
     first = np.linalg.lstsq(Phi, seen.y[n], rcond=None)[0]
@@ -287,7 +289,7 @@ def test_the_four_stages_are_those_of_the_textbook() -> None:
     L, _ = autoregression([seen.y[n] - Phi @ second])
     colour = L.size - 1
     Z, rows, y = (
-        np.apply_along_axis(lambda x: filtered(L, [1.0], x), 0, M)[colour:]
+        np.apply_along_axis(lambda x: apply_filter(L, [1.0], x), 0, M)[colour:]
         for M in (instruments(second), Phi, seen.y[n])
     )
     theta = np.linalg.solve(Z.T @ rows, Z.T @ y)

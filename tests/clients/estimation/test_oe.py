@@ -11,7 +11,7 @@ from armrig.data.merging import merge
 from armrig.estimation.polynomial_structures import oe
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
-from armrig.numerics.polynomial import Array, filtered, impulse
+from armrig.numerics.polynomial import Array, apply_filter, impulse
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
@@ -38,7 +38,7 @@ def test_noise_free_data_give_back_the_true_parameters(
     F = np.array([1, -2 * radius * np.cos(angle), radius**2])
     B = np.append(np.zeros(nk), [1.0, -zero])
     u = np.random.default_rng(seed).standard_normal(300)
-    y = filtered(B, F, u)
+    y = apply_filter(B, F, u)
 
     fit = oe(Dataset(u=u[50:], y=y[50:], Ts=1), nb=2, nf=2, nk=nk)
 
@@ -96,7 +96,7 @@ def test_missing_outputs_remove_only_their_rows() -> None:
     """OE uses no past y."""
     rng = np.random.default_rng(5)
     u = rng.standard_normal(400)
-    y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + 0.1 * rng.standard_normal(400)
+    y = apply_filter([0, 1, 0.5], [1, -1.2, 0.6], u) + 0.1 * rng.standard_normal(400)
     valid = rng.random(400) > 0.3
     valid[:40] = False
     spoilt = np.where(valid, y, 1e6 * rng.standard_normal(400))
@@ -147,7 +147,7 @@ def test_an_initial_state_of_zero_lowers_the_deviations() -> None:
     """initial="zero" has no nuisance parameters, so its standard deviations are smaller."""
     rng = np.random.default_rng(7)
     u = rng.standard_normal(60)
-    y = filtered([0, 1], [1, -0.95], u) + 0.1 * rng.standard_normal(60)
+    y = apply_filter([0, 1], [1, -0.95], u) + 0.1 * rng.standard_normal(60)
     data = Dataset(u=u, y=y, Ts=1)
 
     at_rest, estimated = oe(data, nb=1, nf=1, initial="zero"), oe(data, nb=1, nf=1)
@@ -160,7 +160,7 @@ def test_an_initial_state_of_zero_lowers_the_deviations() -> None:
 def test_the_backcast_state_is_the_least_squares_estimate() -> None:
     rng = np.random.default_rng(7)
     u = np.append(np.full(40, 2.0), rng.standard_normal(120))
-    y = filtered([0, 1, 0.5], [1, -1.7, 0.8], u) + 0.3 * rng.standard_normal(160)
+    y = apply_filter([0, 1, 0.5], [1, -1.7, 0.8], u) + 0.3 * rng.standard_normal(160)
     data = Dataset(u=u[40:], y=y[40:], Ts=1)
 
     fit = oe(data, nb=2, nf=2, initial="backcast")
@@ -170,7 +170,7 @@ def test_the_backcast_state_is_the_least_squares_estimate() -> None:
         return np.column_stack(pulses)
 
     def forced(theta: Array) -> Array:
-        return filtered([0.0, *theta[:2]], [1.0, *theta[2:]], data.u)
+        return apply_filter([0.0, *theta[:2]], [1.0, *theta[2:]], data.u)
 
     state = np.linalg.lstsq(columns(fit.F[1:]), data.y - forced(fit.theta), rcond=None)[0]
     again = least_squares(
@@ -194,7 +194,7 @@ def test_resonant_systems_are_identified_without_start_values(std: float) -> Non
         F = np.real(np.poly([*(radius * np.exp(1j * angle)), *(radius * np.exp(-1j * angle))]))
         B = np.append(0.0, rng.standard_normal(4))
         u = telegraph(1000, 0.3, seed=rng)
-        clean = filtered(B, F, u)
+        clean = apply_filter(B, F, u)
         e = std * np.std(clean) * rng.standard_normal(1000)
 
         fit = oe(Dataset(u=u, y=clean + e, Ts=1), nb=4, nf=4)
@@ -231,7 +231,7 @@ def test_an_order_too_high_on_quiet_data_has_both_deviations(n: int) -> None:
     """Poles and zeros cancel, so the derivatives agree to seven digits."""
     rng = np.random.default_rng(n)
     u = rng.choice([-1.0, 1.0], 500)
-    y = filtered([0, 1.0], [1.0, -0.8], u) + 1e-6 * rng.standard_normal(500)
+    y = apply_filter([0, 1.0], [1.0, -0.8], u) + 1e-6 * rng.standard_normal(500)
 
     fit = oe(Dataset(u=u, y=y, Ts=1.0), nb=n, nf=n)
 

@@ -15,7 +15,7 @@ from armrig.estimation.arx import arx
 from armrig.estimation.order_selection import select_orders
 from armrig.estimation.order_table import OrderTable
 from armrig.excitation import telegraph
-from armrig.numerics.polynomial import filtered, lagged
+from armrig.numerics.polynomial import apply_filter, lag_columns
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
@@ -26,7 +26,7 @@ def _data(seed: int, N: int = 600, nk: int = 2) -> Dataset:
     u = telegraph(N, 0.3, 1.5, 3.5, seed=rng) - 2.5
     F, B = [1.0, -1.2, 0.6], np.append(np.zeros(nk), [1.0, 0.5])
     return Dataset(
-        u=u, y=filtered(B, F, u) + filtered([1.0], F, 0.5 * rng.standard_normal(N)), Ts=1.0
+        u=u, y=apply_filter(B, F, u) + apply_filter([1.0], F, 0.5 * rng.standard_normal(N)), Ts=1.0
     )
 
 
@@ -34,7 +34,7 @@ def _plainly(parts: list[Dataset], na: int, nb: int, nk: int, skip: int) -> tupl
     """Return regressors and y from sample `skip` of each part on, without holes."""
     Phi, y = [], []
     for part in parts:
-        block = [-lagged(part.y, range(1, na + 1)), lagged(part.u, range(nk, nk + nb))]
+        block = [-lag_columns(part.y, range(1, na + 1)), lag_columns(part.u, range(nk, nk + nb))]
         X = np.hstack(block)[skip:]
         # As for the largest regressor: all its past of y must be known.
         known = np.array(
@@ -126,7 +126,7 @@ def test_a_structure_that_the_input_does_not_determine_is_not_chosen() -> None:
     """A period of three levels determines three b's."""
     rng = np.random.default_rng(1)
     u = np.tile([0.0, 1.0, 3.0], 100)
-    y = filtered([0.0, 1.0], [1.0, -0.5], u) + 0.01 * rng.standard_normal(300)
+    y = apply_filter([0.0, 1.0], [1.0, -0.5], u) + 0.01 * rng.standard_normal(300)
 
     table = select_orders(Dataset(u=u, y=y, Ts=1.0), na=[1], nb=range(1, 6), nk=[1])
 
@@ -179,12 +179,12 @@ def test_each_output_has_separate_orders() -> None:
     u = rng.standard_normal((400, 2))
     y = np.column_stack(
         [
-            filtered([0, 1.0], [1, -1.2, 0.5], u[:, 0])
-            + filtered([0, 0.5], [1, -1.2, 0.5], u[:, 1])
-            + filtered([0.2], [1, -1.2, 0.5], rng.standard_normal(400)),
-            filtered([0, 0, 1.0, 0.5], [1, -0.7], u[:, 1])
-            + filtered([0, 0, 0.3], [1, -0.7], u[:, 0])
-            + filtered([0.2], [1, -0.7], rng.standard_normal(400)),
+            apply_filter([0, 1.0], [1, -1.2, 0.5], u[:, 0])
+            + apply_filter([0, 0.5], [1, -1.2, 0.5], u[:, 1])
+            + apply_filter([0.2], [1, -1.2, 0.5], rng.standard_normal(400)),
+            apply_filter([0, 0, 1.0, 0.5], [1, -0.7], u[:, 1])
+            + apply_filter([0, 0, 0.3], [1, -0.7], u[:, 0])
+            + apply_filter([0.2], [1, -0.7], rng.standard_normal(400)),
         ]
     )
     data = Signals(u=u, y=y, Ts=0.1, outputs=["a", "b"])

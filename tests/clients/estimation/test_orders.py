@@ -16,8 +16,8 @@ from armrig.estimation.orders import (
     by_channel,
     by_output,
     by_pair,
-    checked_orders,
     integrating_outputs,
+    order_arrays,
 )
 from armrig.estimation.orders import (
     structures as structures_of,
@@ -25,7 +25,7 @@ from armrig.estimation.orders import (
 from armrig.estimation.problem import PolynomialProblem
 from armrig.estimation.request import Request
 from armrig.models.structure import Structure
-from armrig.numerics.polynomial import Array, filtered, lagged
+from armrig.numerics.polynomial import Array, apply_filter, lag_columns
 from armrig_core.errors import InputError
 
 
@@ -158,7 +158,7 @@ def structures(name: str, orders: Any, *, integrators: Any = False, **of: Any) -
     """Return the structure of each output."""
     data = signals()
     inside = integrating_outputs(integrators, data)
-    given = checked_orders(data, name, orders, inside, "denominator" if of else "")
+    given = order_arrays(data, name, orders, inside, "denominator" if of else "")
     return structures_of(given, name, inside, offset=False, shared=bool(of))
 
 
@@ -218,8 +218,8 @@ def _losses(data: Signals, theta: Array | None, delays: tuple[int, int]) -> tupl
     for part in data.experiments():
         X = np.hstack(
             [
-                -lagged(part.y[:, [1]][:, 0], range(1, 3)),
-                *(lagged(part.u[:, j], [k]) for j, k in enumerate(delays)),
+                -lag_columns(part.y[:, [1]][:, 0], range(1, 3)),
+                *(lag_columns(part.u[:, j], [k]) for j, k in enumerate(delays)),
             ]
         )
         seen = part.valid[:, 1]
@@ -260,7 +260,9 @@ def test_given_delays_hold_for_the_validation_data_too() -> None:
 def two_plants(N: int) -> Signals:
     """Return the outputs a and b of two plants, each with one input of its own."""
     u, e = np.random.default_rng(3).standard_normal((2, N, 2))
-    y = np.column_stack([filtered([0, 1.0], [1, -0.5], u[:, 0]), filtered([0, 0.3], [1], u[:, 1])])
+    y = np.column_stack(
+        [apply_filter([0, 1.0], [1, -0.5], u[:, 0]), apply_filter([0, 0.3], [1], u[:, 1])]
+    )
     return Signals(u=u, y=y + [0.3, 0.1] * e, Ts=1.0, outputs=["a", "b"])
 
 
@@ -273,7 +275,7 @@ def test_all_outputs_have_one_score_and_converge_together(
 ) -> None:
     """If the noise of one output is coloured, the past of it is in the regressors."""
     data = two_plants(120)
-    scores, one_of = list[str](), prediction_error._chosen
+    scores, one_of = list[str](), prediction_error._estimate_group
 
     def infer(*of: Any, score: Any, **options: Any) -> Any:
         scores.append(score)
@@ -287,7 +289,7 @@ def test_all_outputs_have_one_score_and_converge_together(
 
     search_infer = estimated_outputs.infer
     monkeypatch.setattr(estimated_outputs, "infer", infer)
-    monkeypatch.setattr(prediction_error, "_chosen", unfinished)
+    monkeypatch.setattr(prediction_error, "_estimate_group", unfinished)
 
     fit: Any = armrig.bj(data, nb=1, nc=nc, nd=nd, nf=[[1, 0], [0, 1]])
 

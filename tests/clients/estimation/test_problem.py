@@ -8,10 +8,10 @@ from itertools import product
 import numpy as np
 import pytest
 from armrig.estimation.problem import PolynomialProblem
-from armrig.models.innovations import prepared
+from armrig.models.innovations import prepare
 from armrig.models.structure import Structure
 from armrig.numerics.covariance import whitening
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from numpy.typing import NDArray
 
 N = 120
@@ -28,7 +28,7 @@ def problem(*rows: Structure, missing: float = 0.0, parts: int = 2) -> Polynomia
         rng = np.random.default_rng(3 + seed)
         u, y = rng.standard_normal((N, len(rows[0].nb))), rng.standard_normal((N, len(rows)))
         y[rng.random(y.shape) < missing] = np.nan
-        experiments.append(tuple(prepared(u, y[:, i], n) for i, n in enumerate(rows)))
+        experiments.append(tuple(prepare(u, y[:, i], n) for i, n in enumerate(rows)))
     found = PolynomialProblem(rows=rows, experiments=tuple(experiments))
     if len(rows) == 1:
         return found
@@ -54,9 +54,9 @@ def test_every_derivative_of_the_prediction_is_that_of_a_complex_step() -> None:
     for column in range(theta.size):
         moved = theta + 1j * h * np.eye(theta.size)[column]
         a, b, c, d, f = np.split(moved, [2, 4, 6, 7])
-        driven = filtered([0, *b], [1, *f], u.astype(complex))
-        v = filtered([1, *a], [1], y.astype(complex)) - driven
-        e = filtered([1, *d], [1, *c], v)
+        driven = apply_filter([0, *b], [1, *f], u.astype(complex))
+        v = apply_filter([1, *a], [1], y.astype(complex)) - driven
+        e = apply_filter([1, *d], [1, *c], v)
         expected = -e.imag / h
         np.testing.assert_allclose(solution.Psi[:, column], expected, rtol=1e-9, atol=1e-11)
     np.testing.assert_allclose(solution.e, e.real, atol=1e-12)
@@ -136,7 +136,7 @@ def test_the_projected_errors_have_the_cost_and_the_gradient_of_the_solution(
         p = replace(p, experiments=((replace(x, y=x.y + 3.0),),))
     if not rich:
         y = x.y
-        p = PolynomialProblem(rows=(n,), experiments=((prepared(np.ones((N, 1)), y, n),),))
+        p = PolynomialProblem(rows=(n,), experiments=((prepare(np.ones((N, 1)), y, n),),))
     at = start(p)
 
     e, J = p.linearise(at)

@@ -10,14 +10,14 @@ from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.arx import arx
 from armrig.estimation.recursive import RarxState, rarx, rarx_start, rarx_step
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 
 def _data(seed: int, N: int = 400, a: float = -1.2) -> Dataset:
     rng = np.random.default_rng(seed)
     u = rng.standard_normal(N)
     F = [1.0, a, 0.6]
-    y = filtered([0.0, 1.0, 0.5], F, u) + filtered([1.0], F, 0.3 * rng.standard_normal(N))
+    y = apply_filter([0.0, 1.0, 0.5], F, u) + apply_filter([1.0], F, 0.3 * rng.standard_normal(N))
     return Dataset(u=u, y=y, Ts=1.0)
 
 
@@ -133,7 +133,7 @@ def test_undetermined_parameters_have_infinite_deviations() -> None:
 def test_parameters_that_the_samples_no_longer_determine_are_kept() -> None:
     """After 100 samples at one level, the excited samples weigh 0.5^100."""
     u = np.where(np.arange(140) < 40, _data(1, 140).u, 1.0)
-    data = Dataset(u=u, y=filtered([0, 1.0, 0.5], [1, -0.4], u), Ts=1.0)
+    data = Dataset(u=u, y=apply_filter([0, 1.0, 0.5], [1, -0.4], u), Ts=1.0)
 
     found = rarx(data, na=1, nb=2, forgetting=0.5)
 

@@ -9,7 +9,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.cli.model_structures import requested
+from armrig.cli.model_structures import build_request
 from armrig.estimation.request import OPTIONS, Request, flag, options_of, require_sensible
 from armrig.models.structure_table import OFFERED, users
 from armrig.report.batch.tasks import Identify
@@ -42,10 +42,10 @@ def test_options_of_a_request_are_parsed_to_the_same_request(
     monkeypatch.setattr("armrig.cli.identify._process", lambda task, *_, **__: tasks.append(task))
 
     def noted(*given: Any) -> Any:
-        asked.append(requested(*given))
+        asked.append(build_request(*given))
         return asked[-1]
 
-    monkeypatch.setattr("armrig.cli.model_structures.requested", noted)
+    monkeypatch.setattr("armrig.cli.model_structures.build_request", noted)
     monkeypatch.setattr("armrig.cli.recorded_data.SignalChoice.of", _ended)
 
     typed = shlex.split(options_of(request))

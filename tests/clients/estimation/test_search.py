@@ -13,7 +13,7 @@ from armrig.estimation import prediction_error, search, start_values
 from armrig.estimation.arx import arx
 from armrig.estimation.polynomial_structures import bj
 from armrig.estimation.problem import PolynomialProblem
-from armrig.estimation.search import searched_minimum
+from armrig.estimation.search import search_minima
 from armrig.estimation.start_values import (
     Path,
     armax_start,
@@ -22,10 +22,10 @@ from armrig.estimation.start_values import (
     steiglitz_mcbride,
 )
 from armrig.excitation import telegraph
-from armrig.models.innovations import prepared
+from armrig.models.innovations import prepare
 from armrig.models.structure import Structure
 from armrig.numerics.levenberg_marquardt import FIRST_DAMPING, Optimum, levenberg_marquardt
-from armrig.numerics.polynomial import EDGE_MODULUS, filtered, roots
+from armrig.numerics.polynomial import EDGE_MODULUS, apply_filter, roots
 from numpy.typing import NDArray
 
 from tests.plants import drawn_model, estimated_model
@@ -46,16 +46,16 @@ def hard(seed: int) -> tuple[Dataset, NDArray[np.float64]]:
     F = resonant(rng, 2, 0.7, 0.98)
     clean_B = np.append(0.0, rng.standard_normal(4))
     u = telegraph(2000, 0.3, 1.5, 3.5, seed=rng) - 2.5
-    clean = filtered(clean_B, F, u)
+    clean = apply_filter(clean_B, F, u)
     C, D = resonant(rng, 1, 0.5, 0.9), resonant(rng, 1, 0.5, 0.9)
-    v = filtered(C, D, rng.standard_normal(2000))
+    v = apply_filter(C, D, rng.standard_normal(2000))
     v *= np.std(clean) / np.std(v)
     return Dataset(u=u, y=clean + v, Ts=1), np.concatenate([C[1:], D[1:], F[1:]])
 
 
 def problem_of(data: Dataset, structure: Structure) -> PolynomialProblem:
     return PolynomialProblem(
-        experiments=((prepared(data.u, data.y, structure),),), rows=(structure,)
+        experiments=((prepare(data.u, data.y, structure),),), rows=(structure,)
     )
 
 
@@ -78,7 +78,7 @@ def test_a_minimum_is_uncertain_in_strong_noise_or_a_thorough_search() -> None:
     """With more than 30 coefficients it never is: a round of moved modes would take a minute."""
     rng = np.random.default_rng(1)
     u, e = rng.standard_normal((2, 400))
-    y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u)
+    y = apply_filter([0, 1, 0.5], [1, -1.2, 0.6], u)
     few = Structure(nb=(2,), nf=(2,), nk=(1,))
     clear, noisy = (problem_of(Dataset(u=u, y=y + k * e, Ts=1), few) for k in (0.1, 4.0))
     many = problem_of(Dataset(u=u, y=y + 4.0 * e, Ts=1), replace(few, nb=(31,), nf=(31,)))
@@ -98,12 +98,12 @@ def test_a_search_that_starts_on_a_part_ends_at_the_minimum_of_all_data() -> Non
     N = 2 * prediction_error.PART_SAMPLES + 1000
     u = telegraph(N, 0.3, 1.5, 3.5, seed=rng) - 2.5
     u[: N // 2] = 1.0  # nothing moves in the first half
-    e = 0.5 * filtered([1, 0.5], [1, -0.7], rng.standard_normal(N))
-    data = Dataset(u=u, y=filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + e, Ts=1)
+    e = 0.5 * apply_filter([1, 0.5], [1, -0.7], rng.standard_normal(N))
+    data = Dataset(u=u, y=apply_filter([0, 1, 0.5], [1, -1.2, 0.6], u) + e, Ts=1)
     structure = Structure(nb=(2,), nc=1, nd=1, nf=(2,), nk=(1,))
     whole, part = problem_of(data, structure), prediction_error._part(data, [structure], (0,))
 
-    by_part, at_once = searched_minimum(whole, part), searched_minimum(whole)
+    by_part, at_once = search_minima(whole, part), search_minima(whole)
 
     assert part is not None
     np.testing.assert_allclose(by_part[0][1].theta, at_once[0][1].theta, rtol=1e-7)
@@ -117,7 +117,7 @@ def test_all_minima_on_a_part_are_continued_on_all_data() -> None:
     whole = problem_of(data, BJ)
     part = problem_of(data[:500], replace(BJ, at_rest=False))
 
-    ends = searched_minimum(whole, part)
+    ends = search_minima(whole, part)
 
     assert len(ends) >= 3
     costs = [end.cost for _, end in ends]
@@ -184,7 +184,7 @@ def test_modes_are_moved_as_long_as_the_cost_falls_by_more_than_chance(
     monkeypatch.setattr(search, "_lowest_without_gaps", lowest)
     problem: Any = SimpleNamespace(experiments=(), N=1000)
 
-    found = searched_minimum(problem)
+    found = search_minima(problem)
 
     moved = "mode at another frequency"
     lower = [(moved, third)] if third < 3 else []
@@ -200,7 +200,7 @@ def test_modes_are_moved_as_long_as_the_cost_falls_by_more_than_chance(
 def test_a_later_search_may_end_above_the_least_cost() -> None:
     targets: list[float] = []
 
-    def minimise(theta: NDArray[np.float64], known: float, target: float) -> Optimum:
+    def minimise(theta: NDArray[np.float64], earlier_cost: float, target: float) -> Optimum:
         targets.append(target)
         return Optimum(theta=theta, cost=float(theta[0]), iterations=1, converged=True)
 
@@ -214,8 +214,8 @@ def test_a_later_search_may_end_above_the_least_cost() -> None:
 def test_modes_of_c_and_d_are_moved_in_coloured_noise_only(pole: float) -> None:
     rng = np.random.default_rng(1)
     u = np.cumprod(np.where(rng.random(400) < 0.2, -1.0, 1.0))
-    noise = filtered([1.0], [1.0, -pole], 0.3 * rng.standard_normal(u.size))
-    data = Dataset(u=u, y=filtered([0, 0.5, 0.3], [1, -1.2, 0.6], u) + noise, Ts=1.0)
+    noise = apply_filter([1.0], [1.0, -pole], 0.3 * rng.standard_normal(u.size))
+    data = Dataset(u=u, y=apply_filter([0, 0.5, 0.3], [1, -1.2, 0.6], u) + noise, Ts=1.0)
     problem = problem_of(data, Structure(nb=(2,), nc=1, nd=1, nf=(2,), nk=(1,)))
 
     (_, best), *_ = search.from_starts(problem)
@@ -235,7 +235,7 @@ def test_real_roots_of_c_and_d_move_together_inside_the_circle() -> None:
     parts = {"c": slice(0, 3), "d": slice(3, 4)}
     problem: Any = SimpleNamespace(slice_of=lambda letter, _: parts[letter], rows=[0], cost=cost)
 
-    each = search._moved_together(problem, np.concatenate([C[1:], D[1:], F[1:]]))
+    each = search._starts_with_close_roots(problem, np.concatenate([C[1:], D[1:], F[1:]]))
     starts = search.cheapest(problem, each, 6)
 
     assert len(moved) == 2 * len(search._REAL_ROOTS)
@@ -275,7 +275,7 @@ def test_modes_are_moved_one_at_a_time() -> None:
 
 def test_denominators_of_a_start_are_stable_though_the_data_grow() -> None:
     u = np.random.default_rng(2).standard_normal(80)
-    parts = ((u[:, None], filtered([0, 1.0], [1, -1.1, 0.05], u)),)
+    parts = ((u[:, None], apply_filter([0, 1.0], [1, -1.1, 0.05], u)),)
     path = Path(parts=parts, lags=(range(1, 2),), pulses=2)
 
     F = equation_error([path], np.ones(1), 2)
@@ -309,7 +309,7 @@ def test_the_noise_model_of_a_start_is_fitted_to_the_equation_error() -> None:
     """The noise is A y - B u, with A and B by least squares, where y is known."""
     rng = np.random.default_rng(5)
     u, e = rng.standard_normal((2, 300))
-    y = filtered([0, 1.0], [1, -0.8], u) + filtered([1, 0.6], [1, -0.8], e)
+    y = apply_filter([0, 1.0], [1, -0.8], u) + apply_filter([1, 0.6], [1, -0.8], e)
     valid = np.arange(300) != 200
     data = Dataset(u=u, y=y, Ts=1.0, valid=valid)
     problem = problem_of(data, Structure(nf=(0,), na=1, nb=(1,), nc=1, nk=(1,)))
@@ -317,7 +317,7 @@ def test_the_noise_model_of_a_start_is_fitted_to_the_equation_error() -> None:
     theta = start_values._with_noise(problem, np.zeros(0))
 
     of_arx = arx(data, na=1, nb=1)
-    v = filtered(of_arx.A, [1.0], y) - filtered(of_arx.B, [1.0], u)
+    v = apply_filter(of_arx.A, [1.0], y) - apply_filter(of_arx.B, [1.0], u)
     v[[0, 200, 201]] = np.nan
     C, _ = noise_start([v], nc=1, nd=0)
     assert problem.letters == ("a", "c")
@@ -331,7 +331,7 @@ def test_the_long_model_of_a_start_has_the_past_inputs(nk: int) -> None:
     rng = np.random.default_rng(5)
     u, e = rng.standard_normal((2, 4000))
     A, C = [1, -1.5, 0.7], [1, -0.7, 0.3]
-    y = filtered([0] * nk + [1.0, 0.5], A, u) + filtered(C, A, 0.5 * e)
+    y = apply_filter([0] * nk + [1.0, 0.5], A, u) + apply_filter(C, A, 0.5 * e)
     problem = problem_of(
         Dataset(u=u, y=y, Ts=1.0), Structure(nf=(0,), na=2, nb=(2,), nc=2, nk=(nk,))
     )

@@ -17,10 +17,10 @@ from armrig.estimation.stability import (
     _way_out,
     largest_unstable,
     reflection_warnings,
-    stabilised,
+    stabilise,
 )
 from armrig.models.fit import Fit
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 Estimator = Callable[..., Fit]
 B = [0.0, 1.0, 0.5]
@@ -31,7 +31,7 @@ def _growing(pole: float = 1.03, N: int = 200) -> Dataset:
     rng = np.random.default_rng(1)
     A = np.convolve([1.0, -pole], [1.0, -0.5])
     u, e = rng.standard_normal((2, N))
-    return Dataset(u=u, y=filtered(B, A, u) + filtered([1.0], A, 0.1 * e), Ts=1.0)
+    return Dataset(u=u, y=apply_filter(B, A, u) + apply_filter([1.0], A, 0.1 * e), Ts=1.0)
 
 
 ESTIMATORS: dict[str, Estimator] = {
@@ -46,8 +46,8 @@ ESTIMATORS: dict[str, Estimator] = {
 def test_an_unstable_pole_of_the_noise_is_reported_and_reflected() -> None:
     """A root of D outside the circle means noise without bound."""
     u, e = np.random.default_rng(3).standard_normal((2, 300))
-    noise = filtered([1.0], [1.0, -1.02], 0.3 * e)
-    data = Dataset(u=u, y=filtered(B, [1.0, -0.5], u) + noise, Ts=1.0)
+    noise = apply_filter([1.0], [1.0, -1.02], 0.3 * e)
+    data = Dataset(u=u, y=apply_filter(B, [1.0, -0.5], u) + noise, Ts=1.0)
 
     free, inside = (bj(data, nb=2, nc=0, nd=1, nf=1, stable=x) for x in (False, True))
     plain = oe(data, nb=2, nf=1, stable=True)
@@ -89,11 +89,11 @@ def test_b_is_the_best_for_the_reflected_poles(name: str) -> None:
 
 def _errors(fit: Fit, data: Dataset, B: np.ndarray) -> float:
     """Return the sum of squared one-step errors, the predictor's first state fitted."""
-    e = filtered(fit.A, fit.C, data.y) - filtered(B, fit.C, data.u)
+    e = apply_filter(fit.A, fit.C, data.y) - apply_filter(B, fit.C, data.u)
     count = fit.A.size - 1
     if fit.C.size == 1:  # the first errors look back on what is not known
         return float(np.sum(e[count:] ** 2))
-    pulses = np.column_stack([filtered([1.0], fit.C, np.eye(data.N)[k]) for k in range(count)])
+    pulses = np.column_stack([apply_filter([1.0], fit.C, np.eye(data.N)[k]) for k in range(count)])
     return float(np.linalg.lstsq(pulses, e, rcond=None)[1][0])
 
 
@@ -163,7 +163,7 @@ def test_poles_on_the_circle_are_counted_among_the_reflected(
 ) -> None:
     before = np.poly(poles)
 
-    told = list(reflection_warnings(before, stabilised(before)))
+    told = list(reflection_warnings(before, stabilise(before)))
 
     assert [x.text.partition(" poles")[0] for x in told] == ([moved] if moved else [])
     assert all(f"the farthest from |z| = {max(np.abs(poles)):.4f}" in x.text for x in told)
@@ -175,9 +175,9 @@ def test_roots_outside_the_circle_are_reflected_or_moved_inside() -> None:
     pair = 1.25 * np.exp(0.7j)
     inside = np.array([1.0, -0.5])
 
-    mirrored = np.roots(stabilised(np.real(np.poly([pair, pair.conjugate(), 0.3]))))
+    mirrored = np.roots(stabilise(np.real(np.poly([pair, pair.conjugate(), 0.3]))))
 
     np.testing.assert_allclose(np.sort(np.abs(mirrored)), [0.3, 0.8, 0.8])
     np.testing.assert_allclose(np.abs(np.angle(mirrored[mirrored.imag != 0])), 0.7)
-    assert 1 - 2e-6 < -stabilised(np.array([1.0, -1.0]))[1] < 1
-    assert stabilised(inside) is inside
+    assert 1 - 2e-6 < -stabilise(np.array([1.0, -1.0]))[1] < 1
+    assert stabilise(inside) is inside

@@ -12,25 +12,25 @@ import armrig
 import numpy as np
 import pytest
 from armrig import Dataset, Signals
-from armrig.estimation.ss import _Criterion, _End, _improved
+from armrig.estimation.ss import _Criterion, _End, _improve
 from armrig.estimation.state_space_gaps import (
     GapProblem,
-    filtered_parts,
-    scaled_errors,
-    searched,
+    filter_parts,
+    scale_part_errors,
+    search_with_gaps,
 )
 from armrig.estimation.state_space_problem import (
     StateSpaceProblem,
     parts_of,
-    reflected_matrix,
+    reflect_eigenvalues,
     tangent,
 )
-from armrig.estimation.state_space_responses import Part, Predictor, output_normal
+from armrig.estimation.state_space_responses import Predictor, ScaledExperiment, output_normal
 from armrig.estimation.subspace import windows
-from armrig.estimation.subspace_estimate import completed, unweighted
-from armrig.estimation.subspace_horizon import Innovations
+from armrig.estimation.subspace_estimate import least_squares_predictor, without_weights
+from armrig.estimation.subspace_horizon import InnovationsForm
 from armrig.numerics.covariance import whitening
-from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.polynomial import Array, apply_filter
 from armrig.numerics.recursion import recursion, varying_recursion
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
@@ -70,7 +70,7 @@ def problem(noise: bool, direct: bool, missing: float) -> StateSpaceProblem:
         rows = signals.valid[at]
         y = np.where(rows, signals.y[at], 0.0)
         weights = whitening(LAMBDA, rows)
-        parts.append(Part(u=signals.u[at], y=y, rows=rows, weights=weights))
+        parts.append(ScaledExperiment(u=signals.u[at], y=y, rows=rows, weights=weights))
     return StateSpaceProblem(parts=tuple(parts), order=3, direct=direct, noise=noise)
 
 
@@ -83,7 +83,7 @@ def test_the_gradient_is_the_slope_of_the_cost(noise: bool, direct: bool, missin
     V = np.eye(Abar.size + c.size)
     h = 1e-6
 
-    linear, J = p.linearised(Abar, c, V)
+    linear, J = p.linearise_along(Abar, c, V)
     gradient = -2 * J.T @ linear.e
 
     def cost(step: Array) -> float:
@@ -117,11 +117,13 @@ def predictor(experiments: int) -> Predictor:
     return Predictor(Abar=A - K @ C, Bbar=B, C=C, D=np.zeros((2, 2)), K=K, x0=x0)
 
 
-def sought(order: int, *, direct: bool, parts: tuple[Part, ...] = ()) -> StateSpaceProblem:
+def sought(
+    order: int, *, direct: bool, parts: tuple[ScaledExperiment, ...] = ()
+) -> StateSpaceProblem:
     return StateSpaceProblem(parts=parts, order=order, direct=direct, noise=True)
 
 
-def gap_problem(parts: Sequence[Part], *, direct: bool) -> GapProblem:
+def gap_problem(parts: Sequence[ScaledExperiment], *, direct: bool) -> GapProblem:
     return GapProblem(problem=sought(3, direct=direct, parts=tuple(parts)), Lambda=LAMBDA)
 
 
@@ -133,7 +135,9 @@ def test_with_outputs_missing_the_errors_give_the_likelihood_of_the_measured_out
         rows[3:5] = share == 0  # an instant without any output
         y = np.where(rows, rng.standard_normal((n, 2)), 0.0)
         parts.append(
-            Part(u=rng.standard_normal((n, 2)), y=y, rows=rows, weights=whitening(LAMBDA, rows))
+            ScaledExperiment(
+                u=rng.standard_normal((n, 2)), y=y, rows=rows, weights=whitening(LAMBDA, rows)
+            )
         )
     model = predictor(2)
 
@@ -166,13 +170,13 @@ def test_the_filter_of_a_subspace_estimate_has_the_errors_of_the_search() -> Non
     measured = [(signals.u, signals.y)]
     gaps = gap_problem(parts_of(measured, LAMBDA), direct=False)
 
-    (part,) = filtered_parts(measured, A, C, K, LAMBDA)
+    (part,) = filter_parts(measured, A, C, K, LAMBDA)
     left = np.where(part.rows, signals.y - model.predicted(part, 0), 0.0)
 
     z = (part.weights @ left[:, :, None])[:, :, 0]
     white = gaps.errors(model, innovations=True)[0]
     np.testing.assert_allclose(z, white.reshape(2, -1).T, atol=1e-9)
-    scaled = scaled_errors(part, left, LAMBDA)
+    scaled = scale_part_errors(part, left, LAMBDA)
     np.testing.assert_allclose(scaled, gaps.residuals(white)[0], atol=1e-9)
 
 
@@ -187,7 +191,7 @@ def test_the_covariance_of_the_noise_is_estimated_along_with_the_gaps(
     one, zero = np.ones((1, 1)), np.zeros((1, 1))
     at = Predictor(Abar=0.3 * one, Bbar=one, C=one, D=zero, K=0.4 * one, x0=(np.zeros(1),))
 
-    found = searched(sought(1, direct=False), [(u, y)], at, 9.0 * one)
+    found = search_with_gaps(sought(1, direct=False), [(u, y)], at, 9.0 * one)
 
     left = np.vstack(found.residuals)
     assert found.converged
@@ -196,14 +200,14 @@ def test_the_covariance_of_the_noise_is_estimated_along_with_the_gaps(
     assert found.problem.Lambda[0, 0] == pytest.approx(1.0, abs=0.5)
 
     monkeypatch.setattr("armrig.estimation.state_space_gaps._MAX_STEPS", 1)
-    assert not searched(sought(1, direct=False), [(u, y)], at, 9.0 * one).converged
+    assert not search_with_gaps(sought(1, direct=False), [(u, y)], at, 9.0 * one).converged
 
 
 def test_the_slopes_with_gaps_are_the_differences_of_the_errors() -> None:
     """Those of the innovations, and of the log determinant, in two experiments."""
     with_gaps = problem(noise=True, direct=True, missing=0.3)
     gaps = gap_problem(with_gaps.parts, direct=True)
-    at = replace(predictor(2).balanced(), D=0.1 * np.eye(2))
+    at = replace(predictor(2).balance(), D=0.1 * np.eye(2))
     by = gaps.directions(at)
     d, h = len(by.A), 1e-5
 
@@ -228,7 +232,7 @@ def test_the_slopes_with_gaps_are_the_differences_of_the_errors() -> None:
 def test_without_a_gap_the_errors_are_those_of_the_constant_gain() -> None:
     whole = problem(noise=True, direct=True, missing=0.0)
     linear = whole.linear(A - K @ C, C)
-    at = linear.at.balanced()
+    at = linear.at.balance()
 
     gaps = gap_problem(whole.parts, direct=True)
 
@@ -240,7 +244,7 @@ def test_without_a_gap_the_errors_are_those_of_the_constant_gain() -> None:
 
 
 def test_a_start_value_is_stable() -> None:
-    inside = reflected_matrix(np.diag([1.5, 0.5]))
+    inside = reflect_eigenvalues(np.diag([1.5, 0.5]))
 
     np.testing.assert_allclose(np.sort(np.linalg.eigvals(inside)), [0.5, 1 / 1.5])
 
@@ -290,7 +294,9 @@ def test_one_input_and_output_give_the_armax_model() -> None:
     rng = np.random.default_rng(4)
     u = np.sign(rng.standard_normal(N))
     a = np.array([1.0, -1.4, 0.65])
-    y = filtered([0, 1.0, 0.5], a, u) + filtered([1, 0.5, 0.2], a, 0.3 * rng.standard_normal(N))
+    y = apply_filter([0, 1.0, 0.5], a, u) + apply_filter(
+        [1, 0.5, 0.2], a, 0.3 * rng.standard_normal(N)
+    )
     known = armrig.armax(Dataset(u=u, y=y, Ts=1.0), na=2, nb=2, nc=2)
 
     fit = armrig.ss(Signals(u=u, y=y, Ts=1.0), order=2)
@@ -422,13 +428,13 @@ def test_the_search_on_long_data_starts_with_their_first_samples(
 def test_replicates_have_the_missing_samples_of_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replicates are estimated in the same way as the model."""
     seen: list[list[Array]] = []
-    estimated = n4sid.estimated
+    estimated = n4sid.estimate_subspace_model
 
     def watched(signals: Any, options: Any) -> Any:
         seen.append([np.isfinite(y) for _, y in signals])
         return estimated(signals, options)
 
-    monkeypatch.setattr(n4sid, "estimated", watched)
+    monkeypatch.setattr(n4sid, "estimate_subspace_model", watched)
     whole = data(missing=0.02)[:400]
 
     armrig.n4sid(whole.replaced(starts=(0, 150), step=None), 3, replicates=2, horizon=6)
@@ -445,8 +451,8 @@ def test_a_search_for_a_worse_minimum_ends_early() -> None:
     z = np.diag([0.1, -0.2, 0.3])
     begun = _End(name="far", Abar=z, C=C, Lambda=LAMBDA, criterion=np.inf)
 
-    alone = _improved(p, begun, _Criterion(given=None), np.inf)
-    given_up = _improved(p, begun, _Criterion(given=None), alone.criterion - 50)
+    alone = _improve(p, begun, _Criterion(given=None), np.inf)
+    given_up = _improve(p, begun, _Criterion(given=None), alone.criterion - 50)
 
     assert alone.converged
     assert not given_up.converged
@@ -496,8 +502,8 @@ def test_a_predictor_does_not_need_the_value_of_a_missing_output() -> None:
     rng = np.random.default_rng(3)
     u, y = rng.standard_normal((40, 2)), rng.standard_normal((40, 2))
     y[[0, 5, 6, 7, 31], [0, 1, 1, 0, 1]] = np.nan
-    model = Innovations(A=A, C=C, K=K, horizon=5, singular_values=np.ones(3), steady=True)
-    at, (predicted,), _ = completed(unweighted([(u, y)]), model, direct=True)
+    model = InnovationsForm(A=A, C=C, K=K, horizon=5, singular_values=np.ones(3), steady=True)
+    at, (predicted,), _ = least_squares_predictor(without_weights([(u, y)]), model, direct=True)
 
     x, by_hand = at.x0[0], []
     for now, measured in zip(u, y, strict=True):

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation import subspace
-from armrig.estimation.state_space_problem import scaled_signals
+from armrig.estimation.state_space_problem import scale_signals
 from armrig.estimation.subspace import (
     Realisation,
     autoregressive_order,
+    order_by_mdl,
     projection,
-    shortened,
-    suggested_order,
+    shorten_windows,
     visible_states,
     windows,
 )
 from armrig.estimation.subspace_horizon import (
-    Innovations,
+    InnovationsForm,
     _longest_stretches,
     _squares,
     companion,
@@ -28,7 +28,7 @@ from armrig.estimation.subspace_horizon import (
     usable_windows,
 )
 from armrig.numerics.least_squares import cholesky_factor
-from armrig.numerics.polynomial import filtered, impulse, lagged
+from armrig.numerics.polynomial import apply_filter, impulse, lag_columns
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
@@ -43,7 +43,7 @@ def columns(u: Vector, y: Vector) -> tuple[Vector, Vector]:
 def signals(N: int, noise: float = 0.1) -> list[tuple[Vector, Vector]]:
     """Return u and y of a plant of one pole, noise through it."""
     u, e = np.random.default_rng(1).standard_normal((2, N))
-    y = filtered([0.0, 1.0], [1.0, -0.5], u) + filtered([noise], [1.0, -0.5], e)
+    y = apply_filter([0.0, 1.0], [1.0, -0.5], u) + apply_filter([noise], [1.0, -0.5], e)
     return [columns(u, y)]
 
 
@@ -66,7 +66,7 @@ def test_the_horizon_is_bounded_by_order_and_length(
 def test_a_long_memory_takes_a_long_horizon() -> None:
     """The horizon has at most 30 samples."""
     u, e = np.random.default_rng(1).standard_normal((2, 4000))
-    y = filtered([0.0, 1.0], [1.0, -0.98], u) + 2 * e
+    y = apply_filter([0.0, 1.0], [1.0, -0.98], u) + 2 * e
 
     assert 10 < longest_horizon([columns(u, y)], 4000, None) <= 30
 
@@ -84,10 +84,10 @@ def test_models_are_compared_on_the_longest_stretches() -> None:
     assert all(np.array_equal(u, y) for u, y in parts)
 
 
-def innovations(A: Vector, C: Vector) -> Innovations:
+def innovations(A: Vector, C: Vector) -> InnovationsForm:
     """Return the observer form of A y = B u + C e."""
     n = A.size - 1
-    return Innovations(
+    return InnovationsForm(
         A=companion(A),
         C=np.eye(1, n),
         K=(C - A)[1:, None],
@@ -109,7 +109,7 @@ def test_shortened_windows_are_the_middle_of_the_long_ones() -> None:
     """The windows begin 3 samples later and end 3 samples earlier."""
     [(u, y)] = signals(90)
 
-    short = shortened(windows([(u, y)], past=7, future=7), 4)
+    short = shorten_windows(windows([(u, y)], past=7, future=7), 4)
 
     direct = windows([(u[3:-3], y[3:-3])], past=4, future=4)
     assert (short.past, short.future, short.N) == (4, 4, direct.N)
@@ -136,12 +136,14 @@ def test_the_memory_of_the_predictor_minimises_aic() -> None:
     for seed in range(12):
         rng = np.random.default_rng(seed)
         u, e = rng.standard_normal((2, 130))
-        y = filtered([0, 0.4], [1, -0.6, 0.2, -0.25], u) + filtered([1], [1, -0.6, 0.2, -0.25], e)
+        y = apply_filter([0, 0.4], [1, -0.6, 0.2, -0.25], u) + apply_filter(
+            [1], [1, -0.6, 0.2, -0.25], e
+        )
         w = windows([columns(u, y)], past=9, future=1)
         criterion = []
         for n in range(1, 10):
             rows = np.hstack(
-                [np.ones((130, 1)), lagged(u, range(n + 1)), lagged(y, range(1, n + 1))]
+                [np.ones((130, 1)), lag_columns(u, range(n + 1)), lag_columns(y, range(1, n + 1))]
             )
             sse = np.linalg.lstsq(rows[9:], y[9:], rcond=None)[1][0]
             criterion.append(121 * np.log(sse) + 2 * 2 * n)
@@ -159,7 +161,7 @@ def test_a_state_counts_as_three_parameters(monkeypatch: pytest.MonkeyPatch) -> 
     for gain, order in ((17.0, 1), (24.0, 2)):
         losses = np.exp([0.0, -gain / 1000, -gain / 1000])
         monkeypatch.setattr(subspace, "one_step_losses", lambda *_, losses=losses: losses)
-        assert suggested_order(w, found, 3) == order
+        assert order_by_mdl(w, found, 3) == order
 
 
 def test_the_predictor_is_that_of_the_riccati_equation() -> None:
@@ -198,7 +200,7 @@ def test_the_real_pole_nearest_1_becomes_the_integrator() -> None:
 
 @pytest.mark.parametrize("integrator", [False, True])
 def test_unstable_poles_are_reflected_and_an_integrator_is_kept(integrator: bool) -> None:
-    def of(*poles: float) -> Innovations:
+    def of(*poles: float) -> InnovationsForm:
         A = np.poly([*poles, *[1.0] * integrator])
         found = innovations(A, np.append(1.0, np.full(A.size - 1, 0.1)))
         return found.integrating() if integrator else found
@@ -219,7 +221,7 @@ def test_a_delayed_input_acts_one_sample_later(nk: int) -> None:
     u = np.arange(20.0)
     data = Dataset(u=u, y=-u, Ts=1.0, starts=(0, 12)).signals()
 
-    parts, su, sy = scaled_signals(data, (nk,))
+    parts, su, sy = scale_signals(data, (nk,))
 
     for (late, y), part in zip(parts, data.experiments(), strict=True):
         lost = max(nk - 1, 0)
@@ -248,7 +250,7 @@ def test_a_horizon_has_room_for_the_order_and_enough_windows() -> None:
 
 def test_data_without_noise_show_the_states_of_their_system() -> None:
     [(u, y)] = signals(200, noise=0.0)
-    y = y + filtered([0.0, 0.0, 1.0], [1.0, -1.2, 0.8], u[:, 0])[:, None]
+    y = y + apply_filter([0.0, 0.0, 1.0], [1.0, -1.2, 0.8], u[:, 0])[:, None]
 
     assert visible_states(windows([(u, y)], past=6, future=6)) == 3
 
@@ -260,11 +262,15 @@ def test_the_loss_equals_that_of_least_squares(direct: bool, N: int) -> None:
     rng = np.random.default_rng(5)
     u, y = rng.standard_normal((2, N))
     A, C = np.array([1.0, -1.2, 0.5]), np.array([1.0, 0.3, 0.1])
-    pulse, filtered_u = impulse(C, N), filtered([1.0], C, u)
+    pulse, filtered_u = impulse(C, N), apply_filter([1.0], C, u)
     Phi = np.column_stack(
-        [lagged(filtered_u, range(not direct, 3)), lagged(pulse, range(2)), np.cumsum(pulse)]
+        [
+            lag_columns(filtered_u, range(not direct, 3)),
+            lag_columns(pulse, range(2)),
+            np.cumsum(pulse),
+        ]
     )
-    v = filtered(A, C, y)
+    v = apply_filter(A, C, y)
 
     squares = _squares(*columns(u, y), innovations(A, C), direct=direct)
 

@@ -11,7 +11,7 @@ from armrig.data.merging import merge
 from armrig.estimation.polynomial_structures import bj, oe
 from armrig.estimation.transfer_functions import process, tf
 from armrig.models.transfer_function import TransferFunction
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.recordings.files.loading import example_recording
 from armrig_core.errors import InputError
 
@@ -35,7 +35,7 @@ def data(
     u = np.repeat(rng.choice([-1.0, 1.0], N), 6)[:N]
     known = {"B": ((np.array(B),),), "F": ((np.array(F),),), "integrators": (integrates,)}
     p, _ = TransferFunction(**known, delay=delay, Ts=TS).sampled(TS)
-    y = filtered(p.B[0][0], p.F[0][0], u) + filtered(*H, std * rng.standard_normal(N))
+    y = apply_filter(p.B[0][0], p.F[0][0], u) + apply_filter(*H, std * rng.standard_normal(N))
     return Dataset(u=u, y=y, Ts=TS, output="speed", unit="rad/s", input_unit="V")
 
 
@@ -119,7 +119,7 @@ def test_a_straight_line_between_samples_is_an_option_of_the_data() -> None:
     u[0] = 0.0
     form = TransferFunction(B=((TRUE[:1],),), F=((np.array([1, 2.8, 4.0]),),), Ts=TS, hold="foh")
     p, _ = form.sampled(TS)
-    y = filtered(p.B[0][0], p.F[0][0], u)
+    y = apply_filter(p.B[0][0], p.F[0][0], u)
     known = {"u": u, "y": y, "Ts": TS}
 
     fit = tf(Signals(**known, intersample="foh"), poles=2, zeros=0)

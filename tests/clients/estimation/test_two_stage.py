@@ -10,7 +10,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.polynomial_structures import oe
 from armrig.estimation.two_stage import two_stage
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig_core.errors import InputError
 
 from tests.clients import pages
@@ -24,7 +24,7 @@ def loop(seed: int = 0, N: int = 800, std: float = 0.1) -> tuple[Dataset, np.nda
     """Return a plant with coloured noise under a PI controller, and its set point."""
     rng = np.random.default_rng(seed)
     r = np.repeat(rng.choice([-1.0, 1.0], N), 5)[:N]
-    v = filtered([1.0, 0.5], [1.0, -0.9], std * rng.standard_normal(N))
+    v = apply_filter([1.0, 0.5], [1.0, -0.9], std * rng.standard_normal(N))
     u, x, y = np.zeros((3, N))
     integral = 0.0
     for t in range(N):
@@ -64,7 +64,7 @@ def test_slow_noise_in_a_loop_is_no_level(level: float, found: int) -> None:
     for seed in range(8):
         rng = np.random.default_rng(seed)
         r = np.repeat(rng.choice([-1.0, 1.0], 150), 10)
-        v = level + filtered([1.0], [1.0, -0.9], 0.1 * rng.standard_normal(1500))
+        v = level + apply_filter([1.0], [1.0, -0.9], 0.1 * rng.standard_normal(1500))
         u, x, y = np.zeros((3, 1500))
         for t in range(1500):
             x[t] = 0.8 * x[t - 1] + 0.4 * u[t - 1]

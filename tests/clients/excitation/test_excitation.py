@@ -25,8 +25,8 @@ from armrig.excitation.named_signals import (
     check_step_time,
     clock_of,
     details_of,
-    named_signal,
     realisations,
+    signal_by_name,
     step_at,
     up_and_down,
 )
@@ -299,9 +299,9 @@ def test_a_file_that_must_not_be_played_is_refused_by_its_line(
 def test_every_input_by_name_has_the_requested_length_and_range(name: str) -> None:
     figures = {"a": 0.05, "low": 1.0, "high": 2.0, "seed": 5}
 
-    u = named_signal(name, 700, 0.01, **figures)  # type: ignore[arg-type]
+    u = signal_by_name(name, 700, 0.01, **figures)  # type: ignore[arg-type]
     details = details_of(name, **figures)  # type: ignore[arg-type]
-    again = named_signal(details.pop("input"), 700, 0.01, **(figures | details))
+    again = signal_by_name(details.pop("input"), 700, 0.01, **(figures | details))
 
     assert u.shape == (700,)
     assert 1 <= u.min() < u.max() <= 2
@@ -319,7 +319,7 @@ def test_an_input_by_name_equals_that_of_its_function() -> None:
     }
 
     for name, u in expected.items():
-        made = named_signal(name, 90, 0.01, a=0.1, low=1.0, high=2.0, seed=3)
+        made = signal_by_name(name, 90, 0.01, a=0.1, low=1.0, high=2.0, seed=3)
         np.testing.assert_array_equal(made, u, err_msg=name)
     assert [clock_of(a) for a in (0.5, 0.3, 0.1, 0.011)] == [1, 2, 5, 45]
     for a in (0.0, 0.51, float("nan")):
@@ -387,7 +387,7 @@ def test_up_and_down_reaches_the_top_once() -> None:
 def test_a_logarithmic_chirp_by_name_ends_at_half_of_the_nyquist_frequency() -> None:
     """It covers two decades, whatever the sampling time."""
     for Ts in (0.01, 0.002):
-        u = named_signal("chirp", 500, Ts, a=0.05, low=1.0, high=2.0, seed=1)
+        u = signal_by_name("chirp", 500, Ts, a=0.05, low=1.0, high=2.0, seed=1)
 
         expected = chirp(500, Ts, 0.0025 / Ts, 0.25 / Ts, 1.0, 2.0, sweep="logarithmic")
         np.testing.assert_allclose(u, expected)

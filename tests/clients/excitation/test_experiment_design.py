@@ -13,7 +13,7 @@ from armrig.excitation import step, telegraph
 from armrig.excitation.experiment_design import predicted_std
 from armrig.excitation.physical_experiment_design import predicted_parameter_std
 from armrig.models.fit import Fit
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.physics.systems import ArmParameters, arm, chassis
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -53,12 +53,12 @@ def test_models_with_a_noise_model_predict_their_std(structure: str) -> None:
     C, D = [1, 0.5], [1, -0.7]
     integrated = np.cumsum if "integrating" in structure else np.array
     if "armax" in structure:
-        y = integrated(filtered(B, A, u) + filtered(C, A, e))
+        y = integrated(apply_filter(B, A, u) + apply_filter(C, A, e))
         data = Dataset(u=u, y=y, Ts=1)
         na = 3 if "integrating" in structure else 2
         fit = armax(data, na=na, nb=2, nc=1, integrator=na == 3, starts="few")
     else:
-        y = integrated(filtered(B, A, u)) + filtered(C, D, e)
+        y = integrated(apply_filter(B, A, u)) + apply_filter(C, D, e)
         data = Dataset(u=u, y=y, Ts=1)
         nf = 3 if "integrating" in structure else 2
         fit = bj(data, nb=2, nc=1, nd=1, nf=nf, integrator=nf == 3, starts="few")
@@ -94,8 +94,8 @@ def test_a_coloured_noise_model_weighs_the_frequencies() -> None:
 
     predicted = predicted_std(coloured, u)
 
-    regressor = filtered(D, [1], np.concatenate([[0], u[:-1]]))
-    first = filtered(D, [1], np.eye(2000)[0])  # the unknown past
+    regressor = apply_filter(D, [1], np.concatenate([[0], u[:-1]]))
+    first = apply_filter(D, [1], np.eye(2000)[0])  # the unknown past
     residual = regressor - first * (first @ regressor) / (first @ first)
     assert predicted.std[0] == pytest.approx(1 / np.linalg.norm(residual), rel=1e-6)
     assert predicted.std[1] == pytest.approx(np.sqrt((1 - 0.8**2) / 2000), rel=0.01)
@@ -145,7 +145,7 @@ def test_the_inertia_s_standard_deviation_is_predicted_from_physics() -> None:
     def angle(J_1: float, u: Any) -> Any:
         # theta_1'' = (k u - d theta_1')/J_1, held u: velocity and angle in closed form.
         tau, gain = J_1 / p.damping, p.torque_per_volt / p.damping
-        w = filtered([0, gain * (1 - np.exp(-Ts / tau))], [1, -np.exp(-Ts / tau)], u)
+        w = apply_filter([0, gain * (1 - np.exp(-Ts / tau))], [1, -np.exp(-Ts / tau)], u)
         moved = gain * u * Ts + (w - gain * u) * tau * (1 - np.exp(-Ts / tau))
         return np.concatenate([[0], np.cumsum(moved)[:-1]])
 

@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 from armrig.cli import main
-from armrig.cli.printing import folded
+from armrig.cli.printing import fold
 from armrig.lab import doctor
 from armrig.lab.doctor import examine, is_well
-from armrig.lab.host import Granted, Host, HostCheck, preemption, probe
+from armrig.lab.host import Granted, HostCheck, InspectedHost, preemption, probe
 from armrig_core.commands.commands import StatusReport
 from msgspec.structs import replace
 
@@ -52,13 +52,13 @@ GOOD = {
 }
 
 
-def host(root: Path, files: dict[str, str] | None = None, **granted: Any) -> Host:
+def host(root: Path, files: dict[str, str] | None = None, **granted: Any) -> InspectedHost:
     """Return a good host except for these files and grants."""
     for name, content in (GOOD | (files or {})).items():
         path = root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(content)
-    return Host(root=root, granted=Granted(**(GRANTED | granted)))
+    return InspectedHost(root=root, granted=Granted(**(GRANTED | granted)))
 
 
 def found(findings: list[HostCheck], name: str) -> HostCheck:
@@ -133,7 +133,7 @@ def test_a_finding_without_a_remedy_on_this_host_is_a_note(tmp_path: Path) -> No
 
 
 def test_a_host_without_information_is_not_an_error(tmp_path: Path) -> None:
-    findings = examine(Host(root=tmp_path, granted=Granted(**GRANTED)))
+    findings = examine(InspectedHost(root=tmp_path, granted=Granted(**GRANTED)))
 
     assert {f.name for f in findings if f.level == "note"} == {
         *("preemption", "kernel workers", "RT throttling"),
@@ -214,9 +214,9 @@ def test_a_brief_result_has_few_lines_and_the_remedies_of_an_ordinary_laptop(
 
     assert few.startswith("4 of 13 checks found an effect on the timing\nbad   SCHED_FIFO: not")
     assert "LimitMEMLOCK=infinity" in few
-    assert len(folded(few, 80).splitlines()) < 14
+    assert len(fold(few, 80).splitlines()) < 14
     assert "LimitMEMLOCK" not in many
-    assert len(folded(many, 80).splitlines()) < 14
+    assert len(fold(many, 80).splitlines()) < 14
     assert many.splitlines()[-1].startswith("good  idle states, ")
 
 

@@ -23,9 +23,9 @@ import pytest
 from armrig.cli import administration as command
 from armrig.cli import main
 from armrig.lab import avrdude
-from armrig.lab.avrdude import Board, chosen
+from armrig.lab.avrdude import SerialBoard, choose_board
 from armrig_core.errors import OperationError
-from armrig_core.rig.firmware_image import read_image, shipped_image
+from armrig_core.rig.firmware_image import image_path, read_image
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno as SimulatedUno
@@ -36,12 +36,12 @@ from tests.sampling import sampled
 from tests.tools import needs
 
 pytestmark = needs("avrdude")
-R3 = Board(port="/dev/ttyACM0", name="Arduino Uno R3 (2341:0043)", is_uno=True)
-LEONARDO = Board(
+R3 = SerialBoard(port="/dev/ttyACM0", name="Arduino Uno R3 (2341:0043)", is_uno=True)
+LEONARDO = SerialBoard(
     port="/dev/null", name="Arduino Leonardo (2341:8036)", is_uno=False, is_leonardo=True
 )
-CH340 = Board(port="/dev/ttyUSB0", name="Uno with a CH340 (1A86:7523)", is_uno=True)
-PICO = Board(port="/dev/ttyACM1", name="unknown board: Pico (2E8A:000A)", is_uno=False)
+CH340 = SerialBoard(port="/dev/ttyUSB0", name="Uno with a CH340 (1A86:7523)", is_uno=True)
+PICO = SerialBoard(port="/dev/ttyACM1", name="unknown board: Pico (2E8A:000A)", is_uno=False)
 Said = pytest.CaptureFixture[str]
 
 
@@ -79,7 +79,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_firmware_is_written_verified_and_answers(
     tmp_path: Path, capsys: Said, patient: None
 ) -> None:
-    image = read_image(shipped_image())
+    image = read_image(image_path())
     uno_with_optiboot.harness()
     with Uno(partial(_what_was_written, tmp_path)) as uno:
         assert main(["flash", "--port", uno.port, "--yes", "--json"]) == 0
@@ -143,7 +143,7 @@ def test_a_board_that_is_refused_is_reported_in_one_line(
 
 
 def test_a_dry_run_prints_all_steps_and_sends_no_byte(capsys: Said) -> None:
-    image = read_image(shipped_image())
+    image = read_image(image_path())
     with Uno(_another_firmware) as uno:
         assert main(["flash", "--port", uno.port, "--dry-run"]) == 0
         assert main(["flash", "--port", uno.port, "--dry-run", "--json"]) == 0
@@ -176,8 +176,8 @@ def test_a_daemon_cannot_open_the_port_during_the_writing() -> None:
     from armrig_daemon.loop.link import Link, TakenPortError
 
     with Uno(_another_firmware) as uno:
-        board = Board(port=uno.port, name="", is_uno=True)
-        with avrdude.held(board), pytest.raises(TakenPortError):
+        board = SerialBoard(port=uno.port, name="", is_uno=True)
+        with avrdude.lock_port(board), pytest.raises(TakenPortError):
             Link(uno.port, 500_000)
         Link(uno.port, 500_000).close()
 
@@ -219,19 +219,19 @@ def test_a_missing_avrdude_is_reported_with_its_installation(
     ],
 )
 def test_the_board_is_chosen_by_port_or_by_name(
-    port: str | None, there: list[Board], found: Board | str
+    port: str | None, there: list[SerialBoard], found: SerialBoard | str
 ) -> None:
-    if isinstance(found, Board):
-        assert chosen(port, there) == found
+    if isinstance(found, SerialBoard):
+        assert choose_board(port, there) == found
         return
     with pytest.raises(OperationError) as refused:
-        chosen(port, there)
+        choose_board(port, there)
     assert found in str(refused.value)
     assert ("--port" in str(refused.value)) == (port is None)
 
 
 def test_a_lab_refuses_a_leonardo(capsys: Said, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(avrdude, "plugged_in", lambda: [LEONARDO])
+    monkeypatch.setattr(avrdude, "usb_boards", lambda: [LEONARDO])
 
     assert main(["lab", "--port", "/dev/null"]) == 1
     assert "runs on an Uno (ATmega328P) only; put the shield on an Uno" in capsys.readouterr().err
@@ -243,9 +243,9 @@ def test_a_board_selected_by_its_persistent_name_keeps_it(tmp_path: Path) -> Non
     link = tmp_path / "armrig-5563"
     link.symlink_to(port)
 
-    board = chosen(str(link), [Board(port=str(port), name=R3.name, is_uno=True)])
+    board = choose_board(str(link), [SerialBoard(port=str(port), name=R3.name, is_uno=True)])
 
-    assert board == Board(port=str(link), name=R3.name, is_uno=True)
+    assert board == SerialBoard(port=str(link), name=R3.name, is_uno=True)
 
 
 def test_usb_ids_determine_the_names_of_boards(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -265,7 +265,7 @@ def test_usb_ids_determine_the_names_of_boards(monkeypatch: pytest.MonkeyPatch) 
     ]
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: ports)
 
-    assert avrdude.plugged_in() == [LEONARDO, R3, PICO, CH340]
+    assert avrdude.usb_boards() == [LEONARDO, R3, PICO, CH340]
 
 
 @pytest.mark.parametrize(
@@ -290,7 +290,7 @@ def test_each_failure_of_avrdude_becomes_a_line(said: str, meaning: str) -> None
 
 
 def test_avrdude_without_a_port_becomes_a_line(tmp_path: Path) -> None:
-    call = avrdude.command(str(avrdude.find()), port=str(tmp_path / "no"), image=shipped_image())
+    call = avrdude.command(str(avrdude.find()), port=str(tmp_path / "no"), image=image_path())
 
     with pytest.raises(OperationError, match="boot loader does not answer"):
         avrdude.write(call, lambda done, total, name: None)
@@ -306,7 +306,7 @@ def test_ctrl_c_reports_an_incomplete_program() -> None:
             time.sleep(0.01)
         flash.send_signal(signal.SIGINT)
         _, said = flash.communicate(timeout=60)
-        with avrdude.held(Board(port=uno.port, name="", is_uno=True)):
+        with avrdude.lock_port(SerialBoard(port=uno.port, name="", is_uno=True)):
             users = subprocess.run(["pgrep", "-f", f"avrdude.*{uno.port} "], capture_output=True)
 
     assert flash.returncode == 130
@@ -334,11 +334,11 @@ def test_an_image_is_selected_by_its_name(
     name: str, capsys: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(avrdude, "find", lambda: "avrdude")
-    monkeypatch.setattr(avrdude, "plugged_in", lambda: [])
+    monkeypatch.setattr(avrdude, "usb_boards", lambda: [])
 
     assert main(["flash", "--image", name, "--port", "/dev/null", "--dry-run"]) == 0
 
-    assert f"{shipped_image(name)}\n" in capsys.readouterr().out
+    assert f"{image_path(name)}\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

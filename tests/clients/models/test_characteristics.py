@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from armrig.models import characteristics
 from armrig.models.characteristics import SCALARS, model_characteristics, overlapping
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.physics.systems import physical_model
 from armrig_core.rig.arm import ArmParameters, arm_matrices
 
@@ -84,7 +84,7 @@ def test_the_times_of_a_model_equal_the_step_analysis_at_any_Ts(Ts: float) -> No
     B = np.array([0.0, Ts - 0.02 * (1 - pole), 0.02 * (1 - pole) - Ts * pole])
     F = np.convolve([1.0, -1.0], [1.0, -pole])
     u = np.repeat([0.0, 1.0], 200)
-    data = armrig.Dataset(u=u, y=filtered(B, F, u), Ts=Ts, output="theta_1", unit="rad")
+    data = armrig.Dataset(u=u, y=apply_filter(B, F, u), Ts=Ts, output="theta_1", unit="rad")
     fit = armrig.oe(data, nb=2, nf=2, integrator=True, starts="few")
     late = made(B=(0.0, 0.0, 0.0, 1 - pole), nk=3, F=(1.0, -pole), Ts=Ts)
 

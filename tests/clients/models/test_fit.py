@@ -11,7 +11,7 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.polynomial_structures import oe
 from armrig.models.fit import Fit
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,7 +23,7 @@ B, F = np.array([0, 0, 1.0, 0.5]), np.array([1, -1.2, 0.6])
 def data(seed: int, N: int = 400, noise: float = 0.2) -> Dataset:
     """Return y = B/F u + e."""
     u, e = np.random.default_rng(seed).standard_normal((2, N))
-    return Dataset(u=u, y=filtered(B, F, u) + noise * e, Ts=0.1, output="speed", unit="rad/s")
+    return Dataset(u=u, y=apply_filter(B, F, u) + noise * e, Ts=0.1, output="speed", unit="rad/s")
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from armrig.data.dataset import Signals
 from armrig.data.finding import warning
 from armrig.models.polynomials import Polynomials
 from armrig.models.state_space import StateSpace
-from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.polynomial import Array, apply_filter
 from armrig_core.errors import InputError
 
 from tests.clients.models.made_fits import (
@@ -34,7 +34,7 @@ from tests.clients.models.made_fits import (
 def test_each_channel_and_its_derivatives_equal_those_of_the_state_space(name: str) -> None:
     form: Any = (MORE | OF_ONE_OUTPUT)[name]()
     z = np.exp(1j * np.array([0.2, 1.0, 2.8]))
-    model = form.realised()
+    model = form.innovations_form()
 
     inverse = np.linalg.inv(z[:, None, None] * np.eye(model.order) - model.A)
     whole = model.C @ inverse @ model.B + model.D
@@ -105,7 +105,7 @@ def test_a_state_space_of_one_channel_becomes_polynomials_with_its_responses() -
     np.testing.assert_allclose(fit.covariance_robust, 4 * fit.covariance)
     np.testing.assert_allclose(np.sort(fit.poles().values), np.sort(np.linalg.eigvals(form.A)))
     u = np.random.default_rng(0).standard_normal(50)
-    np.testing.assert_allclose(fit.simulate(u), form.realised().simulated(u[:, None])[:, 0])
+    np.testing.assert_allclose(fit.simulate(u), form.innovations_form().simulated(u[:, None])[:, 0])
 
 
 def without_denominators() -> Polynomials:
@@ -118,7 +118,7 @@ def without_denominators() -> Polynomials:
 )
 def test_the_noise_spectra_of_state_space_and_polynomials_are_equal(form: Polynomials) -> None:
     """H = 1 + C inv(q - A) K in the innovations form, and inv(A) C/D of the rows."""
-    model = form.realised()
+    model = form.innovations_form()
     for z in np.exp(1j * np.array([0.2, 1.0, 2.8])):
         below = z * np.eye(len(model.A)) - model.A
         H = np.eye(2) + model.C @ np.linalg.solve(below, model.K)
@@ -158,7 +158,7 @@ def test_each_coefficient_of_theta_is_replaced_at_its_position(name: str) -> Non
 def test_the_delays_of_a_state_space_are_chains_of_states() -> None:
     form = matrices()
 
-    system = form.realised()
+    system = form.innovations_form()
 
     assert system.order == 3 + 2  # two more samples for w
     u = np.zeros((8, 3))
@@ -283,7 +283,7 @@ def test_without_noise_a_prediction_is_exact_over_missing_samples(
     An ARX model, which has a finite memory, also predicts no sample that sets its first state.
     """
     form: Any = FORMS[name]()
-    system = form.realised()
+    system = form.innovations_form()
     data, whole = noise_free(system)
 
     found = fit_of_form(form).predict(data, horizon)
@@ -300,7 +300,7 @@ def test_without_noise_a_prediction_is_exact_over_missing_samples(
 def test_a_prediction_ahead_leaves_the_noise_of_its_horizon() -> None:
     """x(t+1) = A x + B u + K e: e(t) + C K e(t - 1) + C A K e(t - 2) for three samples."""
     form = matrices()
-    system = form.realised()
+    system = form.innovations_form()
     rng = np.random.default_rng(6)
     N = 80
     u, e = rng.standard_normal((N, 3)), 0.1 * rng.standard_normal((N, 2))
@@ -324,7 +324,7 @@ def test_the_ramp_of_an_integrating_output_and_a_level_are_estimated_with_the_mo
     """An offset of the inputs makes the ramp in a, and a level in b if the model has an offset."""
     form = apart((True, False))
     u = np.random.default_rng(7).standard_normal((60, 3))
-    clean = form.realised().deterministic.simulated(u)
+    clean = form.innovations_form().deterministic.simulated(u)
     trend = np.column_stack([3.0 + 0.5 * np.arange(60), np.full(60, level)])
     data = Signals(u=u, y=clean + trend, Ts=0.1, inputs=["u", "v", "w"], outputs=["a", "b"])
     fit = fit_of_form(form, offset=offset)
@@ -341,7 +341,7 @@ def test_the_ramp_of_an_integrating_output_and_a_level_are_estimated_with_the_mo
     # Each row from filters alone.
     rows = zip(form.B, form.F, strict=True)
     expected = np.column_stack(
-        [sum(filtered(b, f, x) for b, f, x in zip(*row, u.T, strict=True)) for row in rows]
+        [sum(apply_filter(b, f, x) for b, f, x in zip(*row, u.T, strict=True)) for row in rows]
     )
     np.testing.assert_allclose(clean, expected, atol=1e-9)
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.models.innovations import errors, prepared, regression, response, volume
+from armrig.models.innovations import errors, prepare, regression, response, volume
 from armrig.models.structure import Structure
-from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.polynomial import Array, apply_filter
 from scipy.linalg import toeplitz
 
 C, D, F = np.array([1.0, 0.5, 0.2]), np.array([1.0, -0.6]), np.array([1.0, -1.1, 0.4])
@@ -46,11 +46,11 @@ def unknown_columns(s: Structure, A: Array, D: Array, F: list[Array]) -> Array:
     """Return the effect on y of each unknown: past of the noise, states, and the trend."""
     pulses = [np.eye(1, N, k)[0] for k in range(N)]
     past = 0 if s.at_rest else max(s.memory, s.first) if s.memory else 0
-    found = [filtered([1.0], np.convolve(A, D), pulses[k]) for k in range(past)]
+    found = [apply_filter([1.0], np.convolve(A, D), pulses[k]) for k in range(past)]
     for count, group in zip(s.counts, s.groups, strict=True):
-        found += [filtered([1.0], np.convolve(A, F[group[0]]), pulses[k]) for k in range(count)]
+        found += [apply_filter([1.0], np.convolve(A, F[group[0]]), pulses[k]) for k in range(count)]
     trend = [np.ones(N), np.arange(1.0, N + 1.0)][: s.trend]
-    found += [filtered([1.0], A, x) for x in trend]
+    found += [apply_filter([1.0], A, x) for x in trend]
     return np.column_stack([np.zeros(N), *found])
 
 
@@ -61,17 +61,17 @@ def test_the_errors_are_those_of_generalised_least_squares(
 ) -> None:
     """By the covariance matrix of C/(D A) e at the measured samples, and all unknowns."""
     s = Structure(**orders)
-    x = prepared(*data(gaps, len(s.nb)), s)
+    x = prepare(*data(gaps, len(s.nb)), s)
     p = given_polynomials(s)
 
     part = regression(x, s, A=p["A"], C=C, D=D, F=F, innovations=True)
     found = errors(x, s, part, **p, C=C, D=D, F=F)
 
     AD = np.convolve(p["A"], D)
-    L = np.tril(toeplitz(filtered(C, AD, np.eye(1, N)[0])))[x.known]
+    L = np.tril(toeplitz(apply_filter(C, AD, np.eye(1, N)[0])))[x.known]
     whiten = np.linalg.inv(np.linalg.cholesky(L @ L.T))
     w = sum(
-        filtered(B, np.convolve(p["A"], f), u) for B, f, u in zip(p["B"], F, x.u.T, strict=True)
+        apply_filter(B, np.convolve(p["A"], f), u) for B, f, u in zip(p["B"], F, x.u.T, strict=True)
     )
     Z = whiten @ unknown_columns(s, p["A"], D, F)[x.known]
     v = whiten @ (x.y - w)[x.known]
@@ -91,7 +91,7 @@ def test_the_derivatives_of_the_errors_equal_finite_differences(
 ) -> None:
     """Projected on the unknown past, de/dp for a, c, d and f, in the order of the parameters."""
     s = Structure(**orders)
-    x = prepared(*data(gaps, len(s.nb)), s)
+    x = prepare(*data(gaps, len(s.nb)), s)
     p = given_polynomials(s)
 
     def at(A: Array, c: Array, d: Array, *of_groups: Array) -> Any:
@@ -126,11 +126,11 @@ def test_the_derivatives_of_the_errors_equal_finite_differences(
 def test_the_volume_of_the_pulses_has_its_gradient() -> None:
     """The logarithm of |Z^T Z| for the pulses at the start, filtered by 1/C."""
     s = Structure(nb=(1,), nk=(1,), nc=2, nd=1, nf=(2,))
-    x = prepared(*data(gaps=False, nu=1), s)
+    x = prepare(*data(gaps=False, nu=1), s)
 
     value, gradient = volume(x, s, C)
 
-    Z = np.column_stack([filtered([1.0], C, np.eye(1, N, k)[0]) for k in range(s.memory)])
+    Z = np.column_stack([apply_filter([1.0], C, np.eye(1, N, k)[0]) for k in range(s.memory)])
     assert value == pytest.approx(np.log(np.linalg.det(Z.T @ Z)), abs=1e-9)
     for k in (0, 1):
         h = 1e-6 * np.eye(3)[k + 1]
@@ -146,16 +146,16 @@ def test_the_input_of_a_rig_at_rest_is_summed_from_zero() -> None:
         for at_rest in (True, False)
     )
 
-    np.testing.assert_allclose(prepared(u, y, rest).u, np.cumsum(u, axis=0))
+    np.testing.assert_allclose(prepare(u, y, rest).u, np.cumsum(u, axis=0))
     np.testing.assert_allclose(
-        prepared(u, y, moving).u, np.cumsum(u - u.mean(axis=0), axis=0), atol=1e-12
+        prepare(u, y, moving).u, np.cumsum(u - u.mean(axis=0), axis=0), atol=1e-12
     )
-    assert [rest.forgotten(0), rest.forgotten(5)] == [0, 2]
-    assert [moving.forgotten(0), moving.forgotten(5)] == [2, 2]
+    assert [rest.past_pulse_count(0), rest.past_pulse_count(5)] == [0, 2]
+    assert [moving.past_pulse_count(0), moving.past_pulse_count(5)] == [2, 2]
     late = Structure(nb=(2,), nk=(3,), nf=(0,), na=2)
-    assert [late.forgotten(start) for start in (0, 1, 2, 9)] == [4, 3, 2, 2]
+    assert [late.past_pulse_count(start) for start in (0, 1, 2, 9)] == [4, 3, 2, 2]
     differenced = Structure(nb=(1,), nk=(1,), nf=(0,), na=1, nc=1, integrator="a")
-    x = prepared(u[:, 0], y, differenced)
+    x = prepare(u[:, 0], y, differenced)
     known = np.isfinite(np.diff(y))
     np.testing.assert_allclose(x.y[1:][known], np.diff(y)[known])
     assert x.known.tolist() == [False, *known]

@@ -20,7 +20,7 @@ from armrig.models.fit import Fit
 from armrig.models.model_file import fit_of, load_fit
 from armrig.models.model_writing import model_text
 from armrig.models.structure import FreeResponse
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.validation.residuals import residuals
 from armrig_core.errors import FileError
 
@@ -30,7 +30,7 @@ from tests.clients.models.made_fits import FORMS, apart, changed, fit_of_form, m
 def data(seed: int) -> Dataset:
     """Return y = B/F u + C/D e, as from a recording."""
     u, e = np.random.default_rng(seed).standard_normal((2, 400))
-    y = filtered([0, 1.0, 0.5], [1, -1.2, 0.6], u) + 0.3 * filtered([1, 0.5], [1, -0.7], e)
+    y = apply_filter([0, 1.0, 0.5], [1, -1.2, 0.6], u) + 0.3 * apply_filter([1, 0.5], [1, -0.7], e)
     history = ("detrend(order=0)",)
     return Dataset(u=u, y=y, Ts=0.1, output="θ<1>", unit="rad", source="ab12", history=history)
 

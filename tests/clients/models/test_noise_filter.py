@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from armrig.models.noise_filter import noise_filter, noise_projection
 from armrig.numerics.kalman_gains import kalman_gains
-from armrig.numerics.polynomial import Array, filtered, impulse, lagged
+from armrig.numerics.polynomial import Array, apply_filter, impulse, lag_columns
 from scipy.linalg import toeplitz
 
 N = 120
@@ -24,8 +24,8 @@ def known(gaps: str) -> Array:
 @pytest.mark.parametrize("gaps", GAPS)
 def test_innovations_equal_those_of_the_covariance_matrix(gaps: str) -> None:
     rows = known(gaps)
-    v = filtered(C, D, np.random.default_rng(1).normal(size=N))
-    L = np.tril(toeplitz(filtered(C, D, np.eye(1, N)[0])))
+    v = apply_filter(C, D, np.random.default_rng(1).normal(size=N))
+    L = np.tril(toeplitz(apply_filter(C, D, np.eye(1, N)[0])))
     R = (L @ L.T)[np.ix_(rows, rows)]
 
     found = noise_filter(C, D, rows)
@@ -41,7 +41,7 @@ def test_innovations_equal_those_of_the_covariance_matrix(gaps: str) -> None:
 def test_a_known_input_of_the_noise_changes_no_innovation(gaps: str) -> None:
     """D v = z + C e has the same innovations as D v = C e, if z is known."""
     z, e = np.random.default_rng(2).normal(size=(2, N))
-    both, alone = filtered([1.0], D, z) + filtered(C, D, e), filtered(C, D, e)
+    both, alone = apply_filter([1.0], D, z) + apply_filter(C, D, e), apply_filter(C, D, e)
     found = noise_filter(C, D, known(gaps))
 
     difference = found.innovations(both) - found.responses(z[:, None])[:, 0]
@@ -53,11 +53,11 @@ def test_a_known_input_of_the_noise_changes_no_innovation(gaps: str) -> None:
 def test_pulses_at_the_start_have_the_effect_of_an_unknown_state(gaps: str) -> None:
     """With its free response, the noise of another past has the same innovations."""
     rows, e = known(gaps), np.random.default_rng(2).normal(size=N + 50)
-    late = filtered(C, D, e)[50:]
+    late = apply_filter(C, D, e)[50:]
     found = noise_filter(C, D, rows)
-    pulses = found.responses(lagged(impulse([1.0], N), range(2)))
+    pulses = found.responses(lag_columns(impulse([1.0], N), range(2)))
 
-    left = found.innovations(late) - found.innovations(filtered(C, D, e[50:]))
+    left = found.innovations(late) - found.innovations(apply_filter(C, D, e[50:]))
 
     x = np.linalg.lstsq(pulses, left, rcond=None)[0]
     np.testing.assert_allclose(pulses @ x, left, atol=1e-10)

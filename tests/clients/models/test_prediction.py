@@ -11,7 +11,7 @@ from armrig.data.merging import merge
 from armrig.models.fit import Fit
 from armrig.models.prediction import structure_of
 from armrig.models.predictor import prediction_errors
-from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.polynomial import Array, apply_filter
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
@@ -24,12 +24,12 @@ def conditional_means(fit: Fit, data: Dataset) -> Array:
     With L e = y - m, from na known samples on, the y have the covariance L L^T.
     """
     na, N = fit.A.size - 1, data.N
-    driven = filtered(fit.B, [1.0], data.u)
+    driven = apply_filter(fit.B, [1.0], data.u)
     responses = np.zeros((N, N))
     for k in range(na, N):
         e = np.zeros(N)
         e[k] = 1.0
-        responses[:, k] = filtered([1.0], fit.A, e)
+        responses[:, k] = apply_filter([1.0], fit.A, e)
     mean = np.where(np.arange(N) < na, data.y, 0.0)
     for t in range(na, N):
         mean[t] = driven[t] - sum(fit.A[j] * mean[t - j] for j in range(1, na + 1))
@@ -51,7 +51,7 @@ def test_an_arx_model_predicts_the_conditional_mean_over_gaps(na: int) -> None:
         u, e = np.random.default_rng(seed).standard_normal((2, 26))
         valid = np.ones(26, dtype=bool)
         valid[list(missing)] = False
-        data = Dataset(u=u, y=filtered(fit.B, fit.A, u) + filtered([1.0], fit.A, e), Ts=0.1)
+        data = Dataset(u=u, y=apply_filter(fit.B, fit.A, u) + apply_filter([1.0], fit.A, e), Ts=0.1)
 
         found = fit.predict(data.replaced(valid=valid, step=None))
 
@@ -68,12 +68,12 @@ def test_the_prediction_errors_of_a_noise_model_are_its_innovations(horizon: int
         A=(1, -0.4), B=(0, 0, 0.5), C=(1, 0.5), D=(1, -0.7), F=(1, -0.6), nk=2, output="y", unit=""
     )
     u, e = np.random.default_rng(1).standard_normal((2, 120))
-    y = filtered(fit.B, fit.denominator, u) + filtered(fit.C, np.convolve(fit.A, fit.D), e)
+    y = apply_filter(fit.B, fit.denominator, u) + apply_filter(fit.C, np.convolve(fit.A, fit.D), e)
 
     left = y - fit.predict(Dataset(u=u, y=y, Ts=0.1), horizon)
 
-    h = filtered(fit.C, np.convolve(fit.A, fit.D), np.eye(1, 120)[0])[:horizon]
-    expected = filtered(h, [1.0], e)
+    h = apply_filter(fit.C, np.convolve(fit.A, fit.D), np.eye(1, 120)[0])[:horizon]
+    expected = apply_filter(h, [1.0], e)
     np.testing.assert_allclose(left[80:], expected[80:], atol=1e-4)
 
 
@@ -89,7 +89,7 @@ def test_an_input_offset_is_estimated_if_the_model_has_one(offset: bool, integra
     for level in (3.0, -1.0):
         u = rng.standard_normal(80)
         valid = rng.random(80) > 0.1
-        y = filtered(fit.B, fit.denominator, u - level * (offset or integrator))
+        y = apply_filter(fit.B, fit.denominator, u - level * (offset or integrator))
         parts.append(Dataset(u=u, y=np.where(valid, y, 99.0), Ts=0.1, valid=valid))
     data = merge(parts)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from armrig.models.structure import Structure, free_columns, offset_from_ramp
 from armrig.models.structure_table import with_article
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_the_offset_is_recovered_from_its_ramp() -> None:
     """B/F̃ of the summed input: the slope is the gain times mean(u) - u0 = 0.6."""
     B, F = np.array([0.0, 0.2, 0.3]), np.array([1.0, -0.6, 0.1])
     u = np.full(400, 0.6)
-    y = filtered(B, F, np.cumsum(u))
+    y = apply_filter(B, F, np.cumsum(u))
     slope = float(y[-1] - y[-2])
 
     assert offset_from_ramp(B, F, slope, 1.5) == pytest.approx(1.5 - 0.6)

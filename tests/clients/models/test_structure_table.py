@@ -15,9 +15,9 @@ from armrig.models.structure_table import (
     STRUCTURES,
     RegisteredStructure,
     StructureName,
-    named,
+    orders_text,
 )
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 from tests.clients import pages
 
@@ -43,7 +43,9 @@ def test_the_page_contains_the_table_of_structures() -> None:
 
 
 def _row(kind: RegisteredStructure) -> str:
-    orders = named(kind.orders) or f"{', '.join(kind.orders)}, by the data" * bool(kind.orders)
+    orders = orders_text(kind.orders) or f"{', '.join(kind.orders)}, by the data" * bool(
+        kind.orders
+    )
     cells = [kind.title, kind.equation, orders, ", ".join(kind.takes)]
     return f"| {' | '.join(cells)} | {'yes' if kind.closed_loop else 'biased'} |"
 
@@ -51,7 +53,7 @@ def _row(kind: RegisteredStructure) -> str:
 @pytest.mark.parametrize("kind", [kind for kind in STRUCTURES.values() if not kind.continuous])
 def test_a_fit_has_the_orders_and_the_label_of_its_row(kind: RegisteredStructure) -> None:
     u, e = np.random.default_rng(0).standard_normal((2, 400))
-    data = Dataset(u=u, y=filtered([0, 1.0, 0.5], [1, -1.2, 0.6], u) + 0.3 * e, Ts=0.1)
+    data = Dataset(u=u, y=apply_filter([0, 1.0, 0.5], [1, -1.2, 0.6], u) + 0.3 * e, Ts=0.1)
     orders = {name: 1 if name in ("nc", "nd") else 2 for name in kind.orders}
     orders |= {"na": 0} if kind.name == "pem" else {}
     options = {"starts": "few"} if "starts" in kind.takes else {}
@@ -63,4 +65,4 @@ def test_a_fit_has_the_orders_and_the_label_of_its_row(kind: RegisteredStructure
     assert list(fit.orders) == [*kind.orders, "nk"]
     values = " ".join(str(n) for n in fit.orders.values())
     assert fit.label == f"{kind.name.upper()}[{values}]"
-    assert repr(fit).startswith(f"{kind.name.upper()}({named(fit.orders)}): u ")
+    assert repr(fit).startswith(f"{kind.name.upper()}({orders_text(fit.orders)}): u ")

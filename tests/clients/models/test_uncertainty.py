@@ -12,17 +12,17 @@ from armrig.models.fit import Fit
 from armrig.models.uncertainty import (
     Draws,
     directions,
-    drawn,
     frequency_bands,
     frequency_responses,
+    parameter_draws,
     pole_regions,
     roots_of,
     step_band,
     step_responses,
     zero_regions,
 )
-from armrig.numerics.confidence_regions import linearised_region
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.confidence_regions import linear_region
+from armrig.numerics.polynomial import apply_filter
 
 from tests.clients.models.made_fits import changed, made
 
@@ -34,7 +34,7 @@ def data(seed: int, poles: tuple[complex, ...], noise: float, N: int = 1000) -> 
     """Return y = B/F u + e, e of a share of y's deviation."""
     rng = np.random.default_rng([seed, N])
     u = rng.choice([-1.0, 1.0], N).repeat(2)[:N]
-    y = filtered([0.0, 0.1, 0.08, 0.02], np.real(np.poly(poles)), u)
+    y = apply_filter([0.0, 0.1, 0.08, 0.02], np.real(np.poly(poles)), u)
     return Dataset(u=u, y=y + noise * np.std(y) * rng.standard_normal(N), Ts=1.0)
 
 
@@ -52,7 +52,7 @@ def near() -> Fit:
 
 def test_draws_have_mean_and_covariance_exactly(plain: Fit) -> None:
     """An answer that is linear in theta therefore gets the deviation of its derivative."""
-    draws = drawn(plain)
+    draws = parameter_draws(plain)
 
     assert draws is not None
     np.testing.assert_allclose(draws.theta.mean(axis=0), plain.theta, atol=1e-12)
@@ -76,7 +76,7 @@ def test_a_sampled_region_contains_a_pair_that_the_ellipse_misses() -> None:
         fit = oe(data(seed, NEAR[:2], 0.3), nb=3, nf=2, starts="few")
         poles = fit.poles()
         i = int(np.argmin(np.abs(poles.values - truth)))
-        ellipse = linearised_region(complex(poles[i]), poles.covariance[i])
+        ellipse = linear_region(complex(poles[i]), poles.covariance[i])
         held.append([ellipse.contains(truth), pole_regions(fit)[i].contains(truth)])
 
     linearised, chosen = np.mean(held, axis=0)
@@ -92,11 +92,11 @@ def test_a_good_linearisation_is_kept_and_has_its_confidence_level() -> None:
     F = np.real(np.poly(PLAIN))
     x = np.exp(-1j * omega)
     G = np.abs(np.polyval([0.02, 0.08, 0.1, 0.0], x) / np.polyval(F[::-1], x))
-    y = filtered([0.0, 0.1, 0.08, 0.02], F, np.ones(at + 1))
+    y = apply_filter([0.0, 0.1, 0.08, 0.02], F, np.ones(at + 1))
     held, sampled = [], []
     for seed in range(60):
         fit = oe(data(seed, PLAIN, 0.1), nb=3, nf=3, starts="few")
-        draws = drawn(fit)
+        draws = parameter_draws(fit)
         pole = next(r for r in pole_regions(fit, draws) if r.centre.imag > 0)
         magnitude, _ = frequency_bands(fit, fit.frequency_response(omega), draws)
         step = step_band(fit, fit.step_response(at + 1), draws)
@@ -109,7 +109,7 @@ def test_a_good_linearisation_is_kept_and_has_its_confidence_level() -> None:
 
 def of_one_pole(pole: float, std: float, n: int) -> Draws:
     """Return draws of a model with this pole and its deviation."""
-    draws = drawn(made(F=(1, -pole), std=(0.1, std)), n=n)
+    draws = parameter_draws(made(F=(1, -pole), std=(0.1, std)), n=n)
     assert draws is not None
     return draws
 
@@ -141,7 +141,7 @@ def test_an_unstable_draw_must_be_finite() -> None:
     """The first b of some draws is 0, which is counted by itself."""
     fit = made(F=(1, -0.5), std=(0.0, 100.0), B=(0, 0.0))
 
-    draws = drawn(fit, n=100)
+    draws = parameter_draws(fit, n=100)
 
     assert draws is not None
     assert (draws.unstable, draws.degenerate) == (0, draws.asked)
@@ -171,7 +171,7 @@ def test_directions_have_the_covariance_and_keep_the_pole_at_1() -> None:
 def test_a_band_of_draws_has_the_unit_of_its_response(rate: bool) -> None:
     """A lag with a gain ± 40 %; the band holds 95 % of the draws."""
     fit = made(B=(0, 0.2), F=(1, -0.9), std=(0.04, 0.03), Ts=0.02)
-    answer, draws = fit.step_response(30, rate=rate), drawn(fit)
+    answer, draws = fit.step_response(30, rate=rate), parameter_draws(fit)
     assert draws is not None
     steps = step_responses(fit, draws.theta, 30 + rate)
     samples = np.diff(steps, axis=1) / 0.02 if rate else steps
@@ -189,7 +189,7 @@ def test_a_band_of_draws_has_the_unit_of_its_response(rate: bool) -> None:
 def test_each_draw_has_the_responses_and_roots_of_its_model(nk: int) -> None:
     """Three draws of a model with A and F."""
     fit = made(A=(1, -0.4), B=[0.0] * nk + [1, 0.5, 0.2], F=(1, -1.2, 0.5), nk=nk, std=[0.05] * 6)
-    draws = drawn(fit, n=20)
+    draws = parameter_draws(fit, n=20)
     assert draws is not None
     omega = np.array([0.3, 5.0, 30.0])
 
@@ -213,7 +213,7 @@ def test_the_band_of_a_phase_is_centred_on_the_phase_of_the_model() -> None:
     fit = made(B=(0, -0.2), F=(1, -0.8), std=(0.02, 0.01))
     answer = fit.frequency_response([0.01, 3.0])
 
-    for draws in (drawn(fit), None):
+    for draws in (parameter_draws(fit), None):
         magnitude, phase = frequency_bands(fit, answer, draws)
 
         for band_, value, std in (

@@ -9,11 +9,11 @@ from armrig.numerics.confidence_regions import (
     RADIUS,
     RootDraws,
     band,
-    chosen_region,
-    linearised_band,
+    choose_region,
+    linear_band,
+    region_of_draws,
     regions,
     root_draws,
-    sampled_region,
 )
 from numpy.typing import NDArray
 from scipy.special import ndtri
@@ -28,7 +28,7 @@ SKEWED = {
 
 
 def test_a_band_is_1_96_deviations_wide_on_both_sides_but_not_below_its_least() -> None:
-    found = linearised_band([1.0, 5.0], [2.0, 0.5], least=0.0)
+    found = linear_band([1.0, 5.0], [2.0, 0.5], least=0.0)
 
     assert found.low == pytest.approx([0.0, 5 - 0.5 * HALF_WIDTH])
     assert found.high == pytest.approx([1 + 2 * HALF_WIDTH, 5 + 0.5 * HALF_WIDTH])
@@ -103,7 +103,7 @@ def test_a_pair_whose_draws_are_wider_or_narrower_has_a_region_of_draws(wider: f
     z = drawn(CENTRE, wider**2 * SLANTED)
     draws = RootDraws(pairs=z, reals=np.zeros(0))
 
-    region = chosen_region(CENTRE, SLANTED, draws)
+    region = choose_region(CENTRE, SLANTED, draws)
 
     assert (region.method, region.interval, region.border()) == ("sampled", None, None)
     assert region.densest is not None
@@ -115,8 +115,8 @@ def test_a_pair_whose_draws_are_wider_or_narrower_has_a_region_of_draws(wider: f
 
 def test_a_real_root_has_an_interval_on_the_axis() -> None:
     P = np.diag([0.01, 0.0])
-    sound = chosen_region(0.5, P, RootDraws(pairs=np.zeros(0, complex), reals=0.5 + 0.1 * Z))
-    skewed = chosen_region(
+    sound = choose_region(0.5, P, RootDraws(pairs=np.zeros(0, complex), reals=0.5 + 0.1 * Z))
+    skewed = choose_region(
         0.5, P, RootDraws(pairs=np.zeros(0, complex), reals=0.5 + 0.1 * SKEWED["downwards"])
     )
 
@@ -140,7 +140,7 @@ def test_roots_that_are_a_pair_in_some_draws_have_a_region_and_an_interval() -> 
     z = z.real + 1j * np.abs(z.imag)
 
     for pairs, reals in ((z, 0.5 + 0.1 * Z[:300]), (z[:1], 0.5 + 0.1 * Z), (z, Z[:0])):
-        found = sampled_region(0.5, np.eye(2), RootDraws(pairs=pairs, reals=reals))
+        found = region_of_draws(0.5, np.eye(2), RootDraws(pairs=pairs, reals=reals))
 
         assert (found.densest is not None) == (pairs.size > 1)
         assert (found.interval is not None) == (reals.size > 0)
@@ -152,12 +152,12 @@ def test_too_few_draws_leave_a_region_unknown_and_a_known_root_needs_none() -> N
     few = RootDraws(pairs=np.zeros(0, complex), reals=0.5 + 0.1 * Z[:99])
 
     for z, P in ((0.5 + 0j, np.diag([0.01, 0.0])), (CENTRE, SLANTED)):
-        unknown = chosen_region(z, P, few)
+        unknown = choose_region(z, P, few)
         assert unknown.method == "sampled"
         assert np.isnan(unknown.covariance).all()
         assert (unknown.interval is None) == (z.imag != 0)
         assert not unknown.contains(z)
-    assert chosen_region(1.0, np.zeros((2, 2)), few).method == "linearised"
+    assert choose_region(1.0, np.zeros((2, 2)), few).method == "linearised"
 
 
 def test_each_root_of_a_draw_belongs_to_the_nearest_of_the_estimate() -> None:

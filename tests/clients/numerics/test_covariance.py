@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from armrig.numerics import covariance
-from armrig.numerics.covariance import correlated_score, joint_exogenous_score
+from armrig.numerics.covariance import joint_exogenous_score, newey_west_score
 from armrig.numerics.inference import OutputResiduals, infer
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.polynomial import Array, apply_filter
 from armrig.numerics.whiteness import autoregression
 from scipy.linalg import toeplitz
 
@@ -21,7 +21,7 @@ def two_experiments(
     """Return Psi and residuals 1/C e of two experiments, a hole in the second."""
     rng = np.random.default_rng(seed)
     blocks = [rng.standard_normal((n, 3)).cumsum(axis=0) for n in sizes]
-    residuals = [filtered([1.0], C, rng.standard_normal(n)) for n in sizes]
+    residuals = [apply_filter([1.0], C, rng.standard_normal(n)) for n in sizes]
     residuals[1][40:43], blocks[1][40:43] = np.nan, 0.0
     return blocks, residuals
 
@@ -31,7 +31,7 @@ def test_newey_and_west_weigh_the_pairs_of_each_experiment(sizes: tuple[int, int
     """The weights are 1 - k/(L + 1) up to L = 4 (N/100)^(2/9), also in blocks of 2048 rows."""
     blocks, residuals = two_experiments(1, [1.0, -0.8], sizes)
 
-    M = correlated_score(blocks, residuals)
+    M = newey_west_score(blocks, residuals)
 
     expected = np.zeros((3, 3))
     for Psi, e in zip(blocks, residuals, strict=True):
@@ -81,7 +81,7 @@ def coloured(outputs: int) -> tuple[list[list[Array]], list[list[Array]]]:
     H, e = [], []
     for N, level in zip(SIZES, (1.0, -1.0), strict=True):
         white = rng.standard_normal((N, 2)) @ [[1.0, 0.5], [0.0, 1.0]]
-        e.append([level + filtered([1.0], NOISE[i], white[:, i]) for i in range(outputs)])
+        e.append([level + apply_filter([1.0], NOISE[i], white[:, i]) for i in range(outputs)])
         H.append([rng.standard_normal((N, 3)).cumsum(axis=0) for _ in range(outputs)])
     return H, e
 
@@ -136,7 +136,7 @@ def test_the_covariance_of_several_outputs_contains_their_common_noise(
 
 def _response(C: Array, N: int) -> Array:
     """Return the lower triangular matrix of the impulse response of 1/C."""
-    return np.tril(toeplitz(filtered([1.0], C, np.eye(1, N)[0])))
+    return np.tril(toeplitz(apply_filter([1.0], C, np.eye(1, N)[0])))
 
 
 def _whitened(C: Array, e: Array) -> Array:

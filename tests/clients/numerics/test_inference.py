@@ -14,7 +14,7 @@ from armrig.numerics.inference import (
     infer,
 )
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.polynomial import Array, apply_filter
 from scipy.special import chdtrc, chdtri
 
 N, D = 400, 3
@@ -24,8 +24,10 @@ THETA = np.array([1.0, -2.0, 0.5])
 def fitted(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return Phi, y and theta of y = Phi theta + C(q) e."""
     rng = np.random.default_rng(seed)
-    Phi = np.column_stack([filtered([1.0], [1.0, -0.8], x) for x in rng.standard_normal((D, N))])
-    y = Phi @ THETA + filtered(C, [1.0], rng.standard_normal(N))
+    Phi = np.column_stack(
+        [apply_filter([1.0], [1.0, -0.8], x) for x in rng.standard_normal((D, N))]
+    )
+    y = Phi @ THETA + apply_filter(C, [1.0], rng.standard_normal(N))
     return Phi, y, np.linalg.lstsq(Phi, y, rcond=None)[0]
 
 
@@ -90,7 +92,7 @@ def test_nearly_equal_columns_give_no_negative_variance(score: Score, apart: flo
     rng = np.random.default_rng(4)
     x, z, w, v = rng.standard_normal((4, N))
     Phi = np.column_stack([x, x + apart * z, w, w + apart * v])
-    e = filtered([1.0], [1.0, -0.8], rng.standard_normal(N))
+    e = apply_filter([1.0], [1.0, -0.8], rng.standard_normal(N))
 
     found = inferred([e], [Phi], score=score, test=None)
 

@@ -78,7 +78,7 @@ def test_a_search_near_a_known_minimum_ends_early() -> None:
 
     short, other = (
         levenberg_marquardt(
-            decay, np.array([1.0, 0.1]), admissible=lambda _: True, known=factor * whole.cost
+            decay, np.array([1.0, 0.1]), admissible=lambda _: True, earlier_cost=factor * whole.cost
         )
         for factor in (1.0, 0.5)
     )

@@ -7,11 +7,11 @@ import pytest
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import (
     EDGE_MODULUS,
-    drawn_to_edge,
     evaluate,
+    move_to_edge,
     outward_normals,
-    reduced,
-    reflected,
+    reduce_order,
+    reflect_roots,
     roots,
     stable,
     summation,
@@ -27,7 +27,7 @@ def test_a_reflected_polynomial_is_stable_and_keeps_its_stable_roots(z: list[flo
     assume(all(r == 1 or abs(r - 1) > 1e-5 for r in z))
     expected = [min(1 / abs(r), 0.999) if abs(r) >= 1 else r for r in z]
 
-    p = reflected(np.poly(z))
+    p = reflect_roots(np.poly(z))
 
     assert stable(p)
     np.testing.assert_allclose(p, np.poly(expected), atol=1e-6)
@@ -80,7 +80,7 @@ def test_the_summation_is_the_response_from_a_rate_to_its_sum() -> None:
 def test_a_reduced_polynomial_lacks_a_real_root_or_has_one_for_a_pair() -> None:
     pair = 0.8 * np.exp(1j * np.array([2.0, -2.0]))  # left of the imaginary axis
 
-    found = [np.sort_complex(roots(p)) for p in reduced(np.real(np.poly([0.5, *pair, 0.0])))]
+    found = [np.sort_complex(roots(p)) for p in reduce_order(np.real(np.poly([0.5, *pair, 0.0])))]
 
     expected = ([*pair, 0.0], [*pair, 0.5], [-0.8, 0.5, 0.0])
     for one in expected:
@@ -97,7 +97,7 @@ def test_roots_outside_move_along_their_radius() -> None:
     inside, at_edge = polynomial(0.5, -0.2), polynomial(0.5, EDGE_MODULUS)
 
     crossing = polynomial(0.5, pair, pair.conjugate(), -2.0)
-    moved = np.sort_complex(roots(drawn_to_edge(crossing, at_edge)))
+    moved = np.sort_complex(roots(move_to_edge(crossing, at_edge)))
 
     expected = [
         0.5,
@@ -106,12 +106,12 @@ def test_roots_outside_move_along_their_radius() -> None:
         -EDGE_MODULUS,
     ]
     np.testing.assert_allclose(moved, np.sort_complex(np.array(expected)), atol=1e-9)
-    assert drawn_to_edge(inside, at_edge) is inside
+    assert move_to_edge(inside, at_edge) is inside
 
 
 def test_a_step_goes_nine_tenths_of_the_way_to_the_circle() -> None:
     """The way is that of the outermost root of the previous polynomial."""
-    moved = drawn_to_edge(polynomial(1.5), polynomial(0.8))
+    moved = move_to_edge(polynomial(1.5), polynomial(0.8))
 
     assert roots(moved) == pytest.approx(0.98)
 
@@ -119,7 +119,7 @@ def test_a_step_goes_nine_tenths_of_the_way_to_the_circle() -> None:
 @pytest.mark.parametrize("side", [1, -1])
 def test_two_real_roots_outside_become_a_pair(side: int) -> None:
     """Two real roots at one point of the circle could not separate along it."""
-    z = roots(drawn_to_edge(polynomial(1.1 * side, 1.2 * side, 0.3), polynomial(EDGE_MODULUS)))
+    z = roots(move_to_edge(polynomial(1.1 * side, 1.2 * side, 0.3), polynomial(EDGE_MODULUS)))
 
     assert sum(abs(r.imag) > 5e-4 for r in z) == 2
     assert np.abs(z).max() <= EDGE_MODULUS + 1e-9
@@ -127,7 +127,7 @@ def test_two_real_roots_outside_become_a_pair(side: int) -> None:
 
 def test_a_polynomial_that_is_not_finite_has_no_roots() -> None:
     with pytest.raises(np.linalg.LinAlgError, match="not finite"):
-        drawn_to_edge(np.array([1.0, np.nan, 0.0, 0.5]), polynomial(0.1, 0.2, 0.3))
+        move_to_edge(np.array([1.0, np.nan, 0.0, 0.5]), polynomial(0.1, 0.2, 0.3))
 
 
 def test_normals_are_the_gradients_of_the_moduli() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.numerics.regressors import arx_rows, in_blocks, long_arx
 from hypothesis import given
 from hypothesis import strategies as st
@@ -46,7 +46,9 @@ def test_a_long_model_of_a_long_record_has_blocks_of_all_experiments() -> None:
     """e(t) in a block equals e(t) of all samples, though the model has a fraction of the rows."""
     rng = np.random.default_rng(4)
     u, e = rng.standard_normal((2, 400_000))
-    y = filtered([0.0, 1.0, 0.5], [1.0, -1.2, 0.6], u) + filtered([1.0], [1.0, -1.2, 0.6], 0.1 * e)
+    y = apply_filter([0.0, 1.0, 0.5], [1.0, -1.2, 0.6], u) + apply_filter(
+        [1.0], [1.0, -1.2, 0.6], 0.1 * e
+    )
     y[20] = NAN
     parts = [(u[:150_000, None], y[:150_000]), (u[150_000:, None], y[150_000:])]
 

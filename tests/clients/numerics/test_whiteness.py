@@ -9,7 +9,7 @@ from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.numerics.criteria import mdl
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import filtered, lagged
+from armrig.numerics.polynomial import apply_filter, lag_columns
 from armrig.numerics.whiteness import (
     Whiteness,
     autoregression,
@@ -61,7 +61,7 @@ def test_the_test_accounts_for_fitted_parameters_by_its_formula(known: bool) -> 
     found = portmanteau(e, Psi, spans, lags, Q=Q if known else None)
 
     x = [np.nan_to_num(part) for part in e]
-    Z = [lagged(part, range(1, lags + 1)) for part in x]
+    Z = [lag_columns(part, range(1, lags + 1)) for part in x]
     s = np.array([sum(a @ b[:, k] for a, b in zip(x, Z, strict=True)) for k in range(lags)])
     there = [np.isfinite(part) for part in e]
     pairs = np.array([sum(np.sum(t[k:] & t[:-k]) for t in there) for k in range(1, lags + 1)])
@@ -85,7 +85,7 @@ def test_a_random_walk_is_always_rejected_as_white(seed: int) -> None:
     """For seed 1 M is indefinite, and M^+ gave p = 0.999."""
     rng = np.random.default_rng(seed)
     u = telegraph(10_000, 0.1, 0.0, 5.0, seed=rng) - (2.5 if seed else 0.0)
-    y = filtered([0, 1, 0.5], [1, -1.5, 0.7], u) + 0.3 * np.cumsum(rng.standard_normal(u.size))
+    y = apply_filter([0, 1, 0.5], [1, -1.5, 0.7], u) + 0.3 * np.cumsum(rng.standard_normal(u.size))
     data = Dataset(u=u, y=y, Ts=0.01)
 
     fit = armrig.oe(data, nb=4, nf=4, starts="few")
@@ -105,7 +105,7 @@ def test_the_ljung_box_test_of_an_autoregression_loses_na_degrees() -> None:
     p, tests = [], []
     for _ in range(300):
         e = rng.standard_normal(500)
-        data = Dataset(u=rng.standard_normal(500), y=filtered([1], [1, -1.5, 0.7], e), Ts=1)
+        data = Dataset(u=rng.standard_normal(500), y=apply_filter([1], [1, -1.5, 0.7], e), Ts=1)
         fit = armrig.arx(data, na=4, nb=1)
         p.append(fit.whiteness)
         tests.append(fit.whiteness_test)

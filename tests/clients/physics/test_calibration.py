@@ -12,7 +12,7 @@ import pytest
 from armrig.physics.calibration import estimate, sign_by_hand
 from armrig.physics.calibration_readings import (
     Readings,
-    compressed,
+    compress_readings,
     mean_reading,
     noise_before_rounding,
     rounding_variance,
@@ -21,14 +21,14 @@ from armrig.physics.calibration_readings import (
 from armrig.physics.calibration_turns import (
     TerminalVoltage,
     Turning,
-    _bracketed,
+    _interval_middle,
     speeds,
     terminal_voltage,
     turning,
 )
 from armrig.recordings.usability import doubts_of_calibration
 from armrig_core.errors import InputError
-from armrig_core.rig.calibration import Calibration, Figure, Made, Potentiometer
+from armrig_core.rig.calibration import Calibration, Made, MeasuredValue, Potentiometer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -131,7 +131,7 @@ def test_a_voltage_at_which_one_sample_shows_an_angle_is_refused() -> None:
 
 def test_an_edge_is_anywhere_between_two_readings_with_equal_probability() -> None:
     """A uniform distribution over 12 counts has the variance 12; that of the turn is added."""
-    assert _bracketed((10.0, 22.0), 4.0) == Figure(value=16.0, std=4.0)
+    assert _interval_middle((10.0, 22.0), 4.0) == MeasuredValue(value=16.0, std=4.0)
 
 
 def test_a_worn_track_is_reported() -> None:
@@ -200,7 +200,7 @@ def test_equal_readings_have_the_deviation_of_a_converter_step() -> None:
     counts = np.full(400, 6400.0)
 
     assert mean_reading(counts, 64.0, 0.0).std == pytest.approx(64 / sqrt(12), rel=0.01)
-    assert spread(counts, 64.0) == Figure(value=0.0, std=pytest.approx(64 / sqrt(400)))
+    assert spread(counts, 64.0) == MeasuredValue(value=0.0, std=pytest.approx(64 / sqrt(400)))
 
 
 def test_the_deviation_of_a_spread_holds_in_monte_carlo() -> None:
@@ -258,7 +258,7 @@ def test_a_lasting_deflection_by_hand_determines_the_sign_of_alpha(
     counts: float, rad_per_count: float
 ) -> None:
     """Then the arm hangs again, or swings a little to the other side."""
-    rest = Figure(value=20_000.0, std=1.0)
+    rest = MeasuredValue(value=20_000.0, std=1.0)
     alpha = np.full(300, rest.value)
     alpha[100:200] += counts
     alpha[200:250] -= counts / 10
@@ -311,7 +311,7 @@ def test_the_deviations_of_count_and_dead_band_follow_from_track_and_turn() -> N
 
 
 def test_a_small_deflection_determines_no_sign() -> None:
-    rest = Figure(value=20_000.0, std=1.0)
+    rest = MeasuredValue(value=20_000.0, std=1.0)
     touched = replace(still(), second=still().second + 100)
 
     assert sign_by_hand(touched, rest, 1e-4) == 0
@@ -328,8 +328,8 @@ def test_the_driver_line_is_fitted_to_the_readings_of_the_meter() -> None:
     assert (two.gain.value, two.offset.value) == pytest.approx((0.98, 0.04))
     assert two.gain.std == pytest.approx(0.01 * sqrt(2) / 3)
     assert (one.gain, one.offset) == (
-        Figure(value=0.95, std=0.005),
-        Figure(value=0.0, std=0.0),
+        MeasuredValue(value=0.95, std=0.005),
+        MeasuredValue(value=0.0, std=0.0),
     )
     assert terminal_voltage([], 0.01) is None
     with pytest.raises(InputError, match="read the meter at another code, too"):
@@ -343,12 +343,12 @@ def test_the_deviations_of_speed_and_standstill_follow_from_slopes_turn_and_mete
     P[:3, :3] = [[900.0, 300.0, 100.0], [300.0, 1600.0, -50.0], [100.0, -50.0, 400.0]]
     P[3:, 3:] = [[4e-4, -1e-4], [-1e-4, 5e-5]]
 
-    def found(x: np.ndarray) -> list[Figure]:
+    def found(x: np.ndarray) -> list[MeasuredValue]:
         turned = Turning(
             direction=1,
-            per_turn=Figure(value=x[2], std=20.0),
-            low=Figure(value=0.0, std=1.0),
-            high=Figure(value=65_000.0, std=1.0),
+            per_turn=MeasuredValue(value=x[2], std=20.0),
+            low=MeasuredValue(value=0.0, std=1.0),
+            high=MeasuredValue(value=65_000.0, std=1.0),
             turns=9,
             volts=np.array([1.5, 3.5]),
             slopes=x[:2],
@@ -395,10 +395,10 @@ def test_the_samples_are_compressed_without_loss() -> None:
     """The hash of the bytes names the samples."""
     sources = {"rest": still(), "turns": made_turns(noise=32.0)}
 
-    data = compressed(sources)
+    data = compress_readings(sources)
     back = stored_readings(data)
 
-    assert data == compressed(sources)
+    assert data == compress_readings(sources)
     assert data[4:8] == bytes(4), "no time in gzip's head"
     assert len(data) < 12 * sum(r.N for r in sources.values())
     for name, readings in sources.items():

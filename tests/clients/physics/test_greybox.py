@@ -11,7 +11,7 @@ import pytest
 from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.physics.grey_box.estimate import minimised, worse_with_friction
+from armrig.physics.grey_box.estimate import minimise, worse_with_friction
 from armrig.physics.grey_box.physical_models import Friction, Physics, free_names
 from armrig.physics.systems import ArmParameters, arm, chassis
 from armrig_core.errors import InputError
@@ -407,7 +407,7 @@ def test_the_final_weights_of_the_outputs_are_the_deviations_of_their_residuals(
     _, signals = simulated_arm(np.random.default_rng([3, 9]), 200, 2e-3)
     physics = Physics(model=armrig.arm, fixed=ArmParameters(), outputs=signals.outputs)
 
-    problem, best, _ = minimised(physics, ARM_PARAMETERS, asdict(physics.fixed), (signals,))
+    problem, best, _ = minimise(physics, ARM_PARAMETERS, asdict(physics.fixed), (signals,))
 
     e = problem.residuals(best.theta)
     np.testing.assert_allclose(problem.std, np.sqrt(np.mean(e**2, axis=0)), rtol=1e-3)

@@ -30,7 +30,7 @@ def response(
     """Return the outputs (N, ny) of a single segment."""
     inputs = np.column_stack([u, np.full(u.size, float(free))])
     values = asdict(physics.fixed) | {COULOMB: T_c}
-    found = physics.integrated(Course.of(inputs, Ts), x0[:, None, None], values, 1)
+    found = physics.integrate(Course.of(inputs, Ts), x0[:, None, None], values, 1)
     return found.y[:, :, 0, 0]
 
 

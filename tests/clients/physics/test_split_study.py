@@ -6,7 +6,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.physics.grey_box.split_study import Split
 from armrig.physics.systems import ArmParameters
 from matplotlib.collections import LineCollection
@@ -73,7 +73,7 @@ def test_a_rig_that_changes_half_way_is_reported() -> None:
 def test_the_requested_parameter_is_studied() -> None:
     rng = np.random.default_rng(1)
     u, e = rng.standard_normal((2, 240))
-    data = Dataset(u=u, y=filtered([0, 1.0, 0.3], [1, -0.6], u) + 0.3 * e, Ts=1.0)
+    data = Dataset(u=u, y=apply_filter([0, 1.0, 0.3], [1, -0.6], u) + 0.3 * e, Ts=1.0)
 
     for name in ("a1", "b2"):
         study = armrig.split_study(

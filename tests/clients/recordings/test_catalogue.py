@@ -20,9 +20,9 @@ from armrig.recordings.files.catalogue import (
     COLUMNS,
     catalogue,
     facts_of,
-    found_files,
     may_answer_to,
     newest_first,
+    recording_files,
 )
 from armrig.recordings.files.recording_summary import RecordingSummary, summary_of
 from armrig_core.recording_file.budget import DamageError
@@ -165,7 +165,12 @@ def test_a_file_without_a_time_in_its_name_has_that_of_its_last_change(tmp_path:
         changed = time.mktime(time.strptime(clock, "%Y%m%dT%H%M%S"))
         os.utime(written(tmp_path, b"", name), (changed, changed))
 
-    assert [file.name[:5] for file in found_files(tmp_path)] == ["1-ste", "mine.", "2-ste", "older"]
+    assert [file.name[:5] for file in recording_files(tmp_path)] == [
+        "1-ste",
+        "mine.",
+        "2-ste",
+        "older",
+    ]
     assert newest_first(tmp_path)[0] == tmp_path / "1-step-20261120T070000-00000002.mcap"
     assert newest_first(tmp_path / "none") == newest_first(tmp_path / "mine.mcap") == []
 

@@ -8,9 +8,9 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.errors import InputError
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 
@@ -26,7 +26,7 @@ TWO = Description.of(
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording of a rig with other channels than the arm."""
     service = VirtualService(Config(), tmp_path_factory.mktemp("two"), seed=1, description=TWO)
-    return service.record(Run(lease=LEASE, n=0, u=[2.0] * N, experiment="own"))
+    return service.record(RunRequest(lease=LEASE, n=0, u=[2.0] * N, experiment="own"))
 
 
 def test_the_channels_of_a_recording_have_the_names_and_units_of_its_rig(path: Path) -> None:
@@ -62,4 +62,4 @@ def test_an_export_has_the_channels_of_the_rig(path: Path, tmp_path: Path) -> No
 
 
 def test_a_recording_without_a_description_is_of_the_arm() -> None:
-    assert armrig.example_recording().description is shipped("arm")
+    assert armrig.example_recording().description is builtin("arm")

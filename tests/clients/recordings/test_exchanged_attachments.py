@@ -16,7 +16,7 @@ from armrig.recordings.files.origin import conversion_of, description_in
 from armrig.recordings.files.replay import replay
 from armrig.recordings.files.verification import verify
 from armrig.recordings.overview import contents_facts
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.errors import FileError
 from armrig_core.recording_file.manifest import (
     CALIBRATION,
@@ -29,7 +29,7 @@ from armrig_core.recording_file.manifest import (
 )
 from armrig_core.rig.calibration import Calibration, Made, Potentiometer
 from armrig_core.rig.calibration_file import raw_path, toml_of
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from armrig_daemon.config import Config, load
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from mcap.reader import make_reader
@@ -50,13 +50,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "c.toml").write_text(toml_of(measured))
     raw_path(folder / "c.toml").write_bytes(SAMPLES)
     config = load([], {"ARMRIG_CALIBRATION_FILE": str(folder / "c.toml")}, {})
-    return _recorded(config, folder, shipped("arm"))
+    return _recorded(config, folder, builtin("arm"))
 
 
 def _recorded(config: Config, folder: Path, description: Description) -> Path:
     rig = VirtualService(config, folder, seed=3, description=description)
     u = np.linspace(0.5, 3.0, 200).tolist()
-    return rig.record(Run(lease=LEASE, n=0, u=u, experiment="blackbox", details={}))
+    return rig.record(RunRequest(lease=LEASE, n=0, u=u, experiment="blackbox", details={}))
 
 
 def rewritten(source: Path, target: Path, change: Change, **fields: Any) -> Path:
@@ -162,7 +162,7 @@ def test_an_unfinished_file_with_an_exchanged_attachment_is_refused(
 def test_a_wrong_hash_in_a_damaged_file_is_reported(run: Path, tmp_path: Path) -> None:
     """The damaged byte may be in the hash, so the samples remain readable."""
     spoilt = run.read_bytes()
-    sha256 = hashlib.sha256(shipped("arm").text).hexdigest().encode()
+    sha256 = hashlib.sha256(builtin("arm").text).hexdigest().encode()
     path = tmp_path / "run.mcap"
     path.write_bytes(spoilt.replace(sha256, b"0" * 64, 1))
 
@@ -205,7 +205,7 @@ def test_a_missing_attachment_fails_the_verification(run: Path, tmp_path: Path) 
 
 def test_a_recording_without_its_description_is_not_read_as_the_arms(tmp_path: Path) -> None:
     (tmp_path / "rc").mkdir()
-    rc = _recorded(Config(), tmp_path / "rc", shipped("rc"))
+    rc = _recorded(Config(), tmp_path / "rc", builtin("rc"))
     path = tmp_path / "rc.mcap"
     rewritten(rc, path, lambda name, data: None if name == DESCRIPTION else data)
 

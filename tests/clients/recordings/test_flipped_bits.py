@@ -10,7 +10,7 @@ from pathlib import Path
 import armrig
 import pytest
 from armrig.numerics.quantities import plural
-from armrig.recordings.files.container import read, streamed
+from armrig.recordings.files.container import read, stream_messages
 from armrig.recordings.files.verification import verify
 from armrig_core.recording_file.manifest import CALIBRATION
 from armrig_core.rig.calibration import Calibration
@@ -70,7 +70,9 @@ def test_records_listed_in_the_index_are_read_whole(tmp_path: Path) -> None:
     assert armrig.load(path).calibration == Calibration()
     assert checks["input"].text != "no input.csv is attached"
     assert armrig.load(path, start=0.1, stop=0.2).samples.size == 10
-    assert len(list(streamed(path, "timing"))) == 0  # a replay needs the steps without a hole
+    assert (
+        len(list(stream_messages(path, "timing"))) == 0
+    )  # a replay needs the steps without a hole
 
 
 def test_a_forged_index_reads_no_byte_twice(tmp_path: Path) -> None:

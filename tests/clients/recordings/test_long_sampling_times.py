@@ -9,10 +9,10 @@ import armrig
 import numpy as np
 import pytest
 from armrig.recordings.recording import Recording
-from armrig_core.commands.commands import Run, samples_of
+from armrig_core.commands.commands import RunRequest, samples_of
 from armrig_core.errors import ParameterError
-from armrig_core.rig.description import shipped
-from armrig_daemon.config import Config, Timing
+from armrig_core.rig.description import builtin
+from armrig_daemon.config import Config, TimingTable
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 
@@ -24,13 +24,13 @@ U = np.repeat([0.5, 2.0, 1.0, 2.0], 10)
 @pytest.fixture(scope="module")
 def heated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording of the heater: each voltage of U was played three times."""
-    heater = shipped("heater")
-    timing, on = Config(timing=Timing(Ts=TS / EVERY)), partial(Device, description=heater)
+    heater = builtin("heater")
+    timing, on = Config(timing=TimingTable(Ts=TS / EVERY)), partial(Device, description=heater)
     service = VirtualService(
         timing, tmp_path_factory.mktemp("long"), seed=3, switch_on=on, description=heater
     )
     u = U.repeat(EVERY).tolist()
-    return service.record(Run(lease=LEASE, n=1, u=u, details={"every": EVERY}))
+    return service.record(RunRequest(lease=LEASE, n=1, u=u, details={"every": EVERY}))
 
 
 def test_a_dataset_has_the_instants_of_the_sampling_time(heated: Path) -> None:

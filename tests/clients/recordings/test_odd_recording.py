@@ -28,7 +28,7 @@ from armrig.recordings.jitter import (
 )
 from armrig.recordings.overview import Overview, overview
 from armrig.recordings.recording import Recording, export_columns
-from armrig.rig.playback import published
+from armrig.rig.playback import read_run
 from armrig_core.commands.codes import OutcomeCode
 from armrig_core.recording_file.manifest import Outcome
 from armrig_core.telemetry import protobuf
@@ -156,8 +156,8 @@ def test_a_part_has_the_comparisons_of_the_clocks_of_its_time(path: Path) -> Non
 
 
 def test_published_messages_keep_their_order(path: Path) -> None:
-    run = published(path)
-    part = published(path, 2.9, 14.2)
+    run = read_run(path)
+    part = read_run(path, 2.9, 14.2)
 
     messages, of_part = list(run.messages()), list(part.messages())
     times = [m.t for m in messages]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig.recordings.files.container import streamed
+from armrig.recordings.files.container import stream_messages
 from armrig.recordings.files.loading import load
 from armrig_core.errors import FileError
 from armrig_core.recording_file.chunks import Unpacker
@@ -179,4 +179,4 @@ def test_a_stream_of_a_file_that_is_cut_off_ends_at_the_cut(tmp_path: Path) -> N
     whole = recorded([m for k in range(300) for m in (sample(k), timing(k))], flush_every=20)
     cut = written(tmp_path, whole[: len(whole) // 2])
 
-    assert 0 < len(list(streamed(cut, "timing"))) < 300
+    assert 0 < len(list(stream_messages(cut, "timing"))) < 300

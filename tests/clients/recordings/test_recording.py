@@ -31,7 +31,7 @@ from armrig_core.errors import FileError
 from armrig_core.recording_file import budget, file_records
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
-from armrig_core.recording_file.file_records import Wanted
+from armrig_core.recording_file.file_records import RecordSelection
 from armrig_core.recording_file.manifest import INPUT, RUN, Manifest, Outcome
 from armrig_core.rig.calibration import Calibration, Driver, Potentiometer
 from armrig_core.telemetry import protobuf, telemetry
@@ -630,7 +630,7 @@ def test_a_stream_of_any_length_is_read_message_by_message(
     messages = [sample(0), *(timing(k) for k in range(40))]
     path = written(tmp_path, recorded(messages, flush_every=2))
 
-    times = [message.t_host_ns for message in container.streamed(path, "timing")]
+    times = [message.t_host_ns for message in container.stream_messages(path, "timing")]
 
     assert times == [timing(k).t_host_ns for k in range(40)]
     assert len(load(path).timing) < 40
@@ -786,7 +786,7 @@ def test_a_grid_has_a_bounded_number_of_missing_samples(came: int, missing: int)
     | st.lists(st.tuples(st.integers(0, 60), st.integers(0, 20), st.floats(-9, 9)), max_size=12)
 )
 def test_gaps_fill_rows_as_if_applied_in_order(gaps: list[tuple[int, int, float]]) -> None:
-    rows = grid.Grid(k_first=10, N=40, present=np.zeros(40, np.bool_), taken=slice(0))
+    rows = grid.SampleGrid(k_first=10, N=40, present=np.zeros(40, np.bool_), taken=slice(0))
     expected = np.full(40, nan)
     for k_first, count, value in gaps:
         expected[max(k_first - 10, 0) : max(k_first + count - 10, 0)] = value
@@ -807,7 +807,7 @@ def test_overlapping_gaps_write_each_row_once(monkeypatch: pytest.MonkeyPatch) -
     full = np.full
     monkeypatch.setattr(np, "full", lambda *args: full(*args).view(Counting))
 
-    grid.Grid(k_first=0, N=500, present=np.zeros(40, np.bool_), taken=slice(0)).filled(
+    grid.SampleGrid(k_first=0, N=500, present=np.zeros(40, np.bool_), taken=slice(0)).filled(
         [(0, 10**9, 1.0)] * 300
     )
 
@@ -868,7 +868,7 @@ def test_a_file_is_read_once() -> None:
     source = ByteSource(file, len(data), is_hashed=True)
 
     source.read(len(file_records.MAGIC))
-    for _ in file_records.file_records(source, Wanted(left=INPUT), lambda _: None):
+    for _ in file_records.file_records(source, RecordSelection(left=INPUT), lambda _: None):
         pass
 
     assert source.sha256() == hashlib.sha256(data).hexdigest()

@@ -9,9 +9,9 @@ import armrig
 import numpy as np
 import pytest
 from armrig.recordings.files.replay import Replay, _messages, replay
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.errors import OperationError
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from armrig_core.telemetry.telemetry import decode_sample, encode_sample
 from armrig_core.telemetry.topics import stream_of
 from armrig_daemon.config import Config
@@ -30,7 +30,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a run of 300 samples whose voltage is another one each time."""
     rig = VirtualService(Config(), tmp_path_factory.mktemp("run"), seed=3)
     u = np.linspace(0.5, 4.0, 300).tolist()
-    return rig.record(Run(lease=LEASE, n=0, u=u, experiment="blackbox", details={}))
+    return rig.record(RunRequest(lease=LEASE, n=0, u=u, experiment="blackbox", details={}))
 
 
 def replayed(run: Path, path: Path, change: Change, volts: bytes = b"") -> Replay:
@@ -138,12 +138,12 @@ def test_a_replay_reports_only_warnings_and_errors_of_the_core() -> None:
 
 
 def test_a_stop_by_a_measured_output_is_decided_again(tmp_path: Path) -> None:
-    limited = shipped("arm").text.replace(b"zero_counts", b"high = 0.1\nzero_counts")
+    limited = builtin("arm").text.replace(b"zero_counts", b"high = 0.1\nzero_counts")
     limited = limited.replace(b"theta_1", b"position").replace(b"alpha", b"deflection")
     soft = Config(emulator=EmulatorSettings(arm={"K_lin": 0.2}))  # softer than in the rehearsal
     rig = VirtualService(soft, tmp_path, seed=3, description=Description.of(limited))
     with pytest.raises(OperationError, match=r"deflection = .* rad is above 0\.1 rad"):
-        rig.record(Run(lease=LEASE, n=0, u=[0.0] * 50 + [4.0] * 250, experiment="own"))
+        rig.record(RunRequest(lease=LEASE, n=0, u=[0.0] * 50 + [4.0] * 250, experiment="own"))
 
     (path,) = tmp_path.glob("*.mcap")
     found = replay(path)

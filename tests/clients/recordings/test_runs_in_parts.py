@@ -10,7 +10,7 @@ from armrig.cli import main
 from armrig.recordings.files.loading import load
 from armrig.recordings.files.replay import replay
 from armrig.recordings.files.verification import verify
-from armrig.rig.playback import published
+from armrig.rig.playback import read_run
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.errors import FileError
 from armrig_core.recording_file import recorder
@@ -64,7 +64,7 @@ def test_a_run_with_a_missing_part_is_refused(tmp_path: Path) -> None:
 
     for missing, number in ((one, 1), (two, 2)):
         missing.unlink()
-        for read in (load, verify, published, replay):
+        for read in (load, verify, read_run, replay):
             with pytest.raises(FileError, match=f"part {number} of this run is missing"):
                 read(run)
         missing.write_bytes(kept[missing])
@@ -127,7 +127,7 @@ def _record_in_parts(whole: Path, path: Path, *, samples: int) -> None:
         )
         for _, channel, message in messages
     ]
-    recording = recorder.Recording.create(
+    recording = recorder.ActiveRecording.create(
         path,
         run,
         attached,

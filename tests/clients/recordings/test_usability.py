@@ -19,9 +19,9 @@ from armrig.recordings.findings import (
     check_first,
     check_run,
     check_signal,
+    check_step,
     check_timing,
     check_turns,
-    hidden_step,
     step_options,
 )
 from armrig.recordings.jitter import fastest_rate, sampling_statistics
@@ -124,7 +124,7 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Hidden:
     """Return the steps of a turn of starts whose rise the dead band hides."""
     directory = tmp_path_factory.mktemp("steps")
     every = (stepped(directory, float(start), 1.0, 2.0) for start in np.arange(0, tau, 0.1))
-    return [(r, found) for r in every if (found := hidden_step(r)) is not None]
+    return [(r, found) for r in every if (found := check_step(r)) is not None]
 
 
 def test_a_step_hidden_by_the_dead_band_is_reported_with_the_time_to_step(
@@ -136,7 +136,7 @@ def test_a_step_hidden_by_the_dead_band_is_reported_with_the_time_to_step(
         assert found.text in verdict.summary
         _, at, _, seconds = step_options(found.numbers).split()
         rest = first.theta_1[first.valid][-1] + 0.6  # the motor brakes it within a few 0.1 s
-        assert hidden_step(stepped(tmp_path, rest, float(at), float(seconds))) is None
+        assert check_step(stepped(tmp_path, rest, float(at), float(seconds))) is None
     assert 2 <= len(hidden) <= 10
 
 
@@ -280,7 +280,7 @@ def test_a_gap_without_a_recorded_voltage_is_evaluated(tmp_path: Path) -> None:
 
 def test_the_time_to_step_does_not_depend_on_the_sign_of_the_angle(hidden: Hidden) -> None:
     """A reversed potentiometer changes the sign of the angle, not the place of its dead band."""
-    mirrored = [hidden_step(with_channel(r, "theta_1", -r.theta_1)) for r, _ in hidden]
+    mirrored = [check_step(with_channel(r, "theta_1", -r.theta_1)) for r, _ in hidden]
 
     assert mirrored == [found for _, found in hidden]
     for r, found in hidden:

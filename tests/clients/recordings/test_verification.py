@@ -24,7 +24,7 @@ from armrig.recordings.files.verification import (
 )
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.manifest import CONFIG, Outcome
-from armrig_core.rig.volts import applied_code, code_of, volts_of
+from armrig_core.rig.volts import code_of, device_code, volts_of
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.telemetry import Sample
 
@@ -41,7 +41,7 @@ def run(**changes: Any) -> list[Sample]:
         sample(
             k,
             u_cmd_v=volts_of(code),
-            u_applied_v=volts_of(applied_code(code, 10)),
+            u_applied_v=volts_of(device_code(code, 10)),
             **changes,
         )
         for k, code in enumerate(codes)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.report.control_sections import ControlStudy, control_contents, control_study
-from armrig_core.commands.commands import Control
+from armrig_core.commands.commands import ControlRequest
 from armrig_core.errors import InputError
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
@@ -34,7 +34,7 @@ def run(model: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     law = armrig.place(armrig.load_fit(model), [-18 + 18j, -18 - 18j, -42])
     service = VirtualService(Config(), tmp_path_factory.mktemp("run"), seed=1)
     reference = [2.0] * 150 + [4.0] * 150
-    return service.record(Control(lease=LEASE, n=0, law=law, reference=reference))
+    return service.record(ControlRequest(lease=LEASE, n=0, law=law, reference=reference))
 
 
 @pytest.fixture(scope="module")

@@ -23,12 +23,12 @@ from armrig.report.figures import write_figures
 from armrig.report.model_facts import conclusions
 from armrig.report.recording_facts import role, treatment
 from armrig.report.sections import Contents
-from armrig.report.study import Study, assessed, study
+from armrig.report.study import Study, assess_fits, study
 from armrig.report.study_sections import study_contents
-from armrig.report.typesetting import recorded as recorded_at
+from armrig.report.typesetting import latest_start as recorded_at
 from armrig_core.rig.arm import ArmParameters
 from armrig_core.rig.calibration import Calibration, Made
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from matplotlib import figure
 from matplotlib.text import Text
 
@@ -50,7 +50,7 @@ def of_three(done: Study) -> Study:
         for k, r in enumerate(done.recordings, 1)
     )
     physics = physical_model(ArmParameters(), done.estimation)
-    models = assessed(fits, physics, done.validation)
+    models = assess_fits(fits, physics, done.validation)
     return replace(done, recordings=recordings, **models)
 
 
@@ -107,7 +107,7 @@ def test_a_report_writes_a_copy_of_each_figure(
         return tuple(sorted(root.glob("*.svg")))
 
     fakes: dict[str, Any] = {"document.write_figures": write}
-    fakes["typesetting.compiled"] = lambda _: (b"a report", [("end", 1.0)])
+    fakes["typesetting.compile_pdf"] = lambda _: (b"a report", [("end", 1.0)])
     for name, fake in fakes.items():
         monkeypatch.setattr(f"armrig.report.{name}", fake)
 
@@ -126,8 +126,8 @@ def test_a_report_writes_a_copy_of_each_figure(
 def test_the_title_of_a_report_contains_the_title_of_the_rig(done: Study) -> None:
     titles = []
     for title in ("Arm 7", ""):
-        rig = msgspec.structs.replace(shipped("arm").rig, title=title)
-        described = replace(shipped("arm"), rig=rig)
+        rig = msgspec.structs.replace(builtin("arm").rig, title=title)
+        described = replace(builtin("arm"), rig=rig)
         recordings = tuple(replace(r, description=described) for r in done.recordings)
         titles.append(study_contents(replace(done, recordings=recordings), ()).title)
 
@@ -305,7 +305,7 @@ def test_models_are_compared_up_to_nyquist() -> None:
     u = np.tile([1.0, 2.0], 20)
     data = Dataset(u=u, y=np.cumsum(u), Ts=0.1, output="theta_1", unit="rad")
 
-    found = assessed({}, physical_model(ArmParameters(), data), data)
+    found = assess_fits({}, physical_model(ArmParameters(), data), data)
 
     assert found["omega"][-1] == pytest.approx(np.pi / 0.1)
 

@@ -25,7 +25,7 @@ from armrig.report.identification_sections import identification_sections
 from armrig.report.physical_sections import numerical_sections, physical_sections
 from armrig.report.recording_facts import run_name
 from armrig.report.sections import Contents, Section, plain
-from armrig.report.typesetting import TEMPLATE, compiled, typeset
+from armrig.report.typesetting import TEMPLATE, compile_pdf, typeset
 from armrig_core.errors import OperationError
 from armrig_core.recording_file.manifest import Outcome
 from armrig_core.rig.arm import ArmParameters
@@ -92,7 +92,7 @@ def only_values(monkeypatch: pytest.MonkeyPatch) -> None:
     """Do not draw the figures nor typeset the report; write its values alone."""
     fakes: dict[str, Any] = {
         "document.write_figures": lambda *_: (),
-        "typesetting.compiled": lambda _: (b"", [("end", 1.0)]),
+        "typesetting.compile_pdf": lambda _: (b"", [("end", 1.0)]),
     }
     for name, fake in fakes.items():
         monkeypatch.setattr(f"armrig.report.{name}", fake)
@@ -335,7 +335,7 @@ def test_no_line_of_reasons_is_alone_on_the_last_page(
     values["sections"] = [before, last]
     (tmp_path / "source" / "data.json").write_text(json.dumps(values))
 
-    *_, (name, end) = compiled(tmp_path / "source" / TEMPLATE)[1]
+    *_, (name, end) = compile_pdf(tmp_path / "source" / TEMPLATE)[1]
 
     assert (name, int(end)) == ("end", 3)
     assert end % 1 > 0.2

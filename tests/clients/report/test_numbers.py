@@ -9,14 +9,14 @@ from armrig.numerics.quantities import microseconds
 from armrig.recordings.jitter import sampling_statistics
 from armrig.recordings.recording import Recording
 from armrig.report.model_facts import conclusions
-from armrig.report.recording_facts import facts, shared_facts
+from armrig.report.recording_facts import facts, setup_sentences
 from armrig.report.study import Study
-from armrig_core.rig.calibration import Calibration, Figure, Made
+from armrig_core.rig.calibration import Calibration, Made, MeasuredValue
 
 from tests.clients.report.conftest import section_of
 
 
-def calibrated(r: Recording, date: str, figures: dict[str, Figure]) -> Recording:
+def calibrated(r: Recording, date: str, figures: dict[str, MeasuredValue]) -> Recording:
     """Return a recording that was read with a calibration."""
     made = Made(date=date, rig="1", device_uid="0001", armrig="0.1.0", figures=figures)
     return replace(r, calibration=Calibration(made=made))
@@ -52,7 +52,7 @@ def test_shared_facts_are_those_of_the_estimation_recording(done: Study) -> None
     device = {**step.manifest.device, "uid": "9999"}
     other = replace(step, manifest=msgspec.structs.replace(step.manifest, device=device))
 
-    said = shared_facts(replace(done, recordings=(other, *others)))
+    said = setup_sentences(replace(done, recordings=(other, *others)))
 
     assert "uid 0001" in said[0]
 
@@ -60,8 +60,11 @@ def test_shared_facts_are_those_of_the_estimation_recording(done: Study) -> None
 def test_the_worse_of_two_calibrations_is_reported(done: Study) -> None:
     step, first, second = done.recordings
     scale = "theta_1_rad_per_count"
-    good = {scale: Figure(value=1e-4, std=1e-7), "driver_gain": Figure(value=1.0, std=1e-3)}
-    poor = {scale: Figure(value=1e-4, std=5e-7)}
+    good = {
+        scale: MeasuredValue(value=1e-4, std=1e-7),
+        "driver_gain": MeasuredValue(value=1.0, std=1e-3),
+    }
+    poor = {scale: MeasuredValue(value=1e-4, std=5e-7)}
 
     for a, b in ((good, poor), (poor, good)):
         recordings = (

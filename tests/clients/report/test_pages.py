@@ -24,7 +24,7 @@ from armrig.report.sections import Contents, Section
 from armrig.report.study import Study, best_first, study
 from armrig.report.study_sections import study_contents
 from armrig.report.typesetting import TEMPLATE, typeset
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -82,7 +82,7 @@ def of_study(done: Study, tmp_path_factory: pytest.TempPathFactory) -> Made:
 @pytest.fixture(scope="module")
 def of_circuit(tmp_path_factory: pytest.TempPathFactory) -> Made:
     """Give the report of a described rig, which has three models."""
-    folder, rc = tmp_path_factory.mktemp("circuit"), shipped("rc")
+    folder, rc = tmp_path_factory.mktemp("circuit"), builtin("rc")
     lengths = {"first": (3.0, 0.01), "random": (10.0, 0.01)}
     recorded = record_all(folder, rc, "rc", plant=rc, **lengths)
     found = study([load(path) for path in recorded])

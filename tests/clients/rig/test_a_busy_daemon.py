@@ -28,7 +28,7 @@ class BusyDaemon(FakeDaemon):
         self.refused: Counter[str] = Counter()
         self.is_busy: Callable[[], bool] = lambda: False
 
-    def _carry_out(self, request: commands.Request) -> Any:
+    def _carry_out(self, request: commands.DaemonRequest) -> Any:
         if self.is_busy():
             raise ValueError(BUSY)
         if self.refused[request.name] < self.busy.get(request.name, 0):

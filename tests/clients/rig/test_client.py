@@ -58,7 +58,7 @@ def test_a_rig_id_that_is_not_a_valid_key_is_refused(rig: str) -> None:
 
 def test_no_input_has_the_name_of_an_option_of_a_run() -> None:
     options = [
-        name for name in inspect.signature(Rig.run).parameters if name not in ("self", "own")
+        name for name in inspect.signature(Rig.run).parameters if name not in ("self", "values")
     ]
 
     for name in options[1:]:
@@ -71,8 +71,8 @@ def test_a_sampling_time_above_1_s_is_made_by_the_client(daemon: FakeDaemon, rig
     granted = rig.arm("me", Ts=2.5)
     rig.run([0.5, 4.5], details={"seed": 3})
 
-    (arm,) = [asked for asked in daemon.asked if isinstance(asked, commands.Arm)]
-    (run,) = [asked for asked in daemon.asked if isinstance(asked, commands.Run)]
+    (arm,) = [asked for asked in daemon.asked if isinstance(asked, commands.ArmRequest)]
+    (run,) = [asked for asked in daemon.asked if isinstance(asked, commands.RunRequest)]
     assert (granted.Ts, arm.Ts) == (2.5, 0.625)
     assert (run.u, run.details) == ([0.5] * 4 + [4.5] * 4, {"seed": 3, "every": 4})
     with pytest.raises(InputError, match="'every' is the name of the samples per voltage"):
@@ -91,8 +91,8 @@ def test_the_client_sends_a_whole_run_and_waits_for_its_end(daemon: FakeDaemon, 
 
     assert path == Path(daemon.recording)
     arm, run = [r for r in daemon.asked if not isinstance(r, commands.Status)][:2]
-    assert arm == commands.Arm(owner="me", Ts=0.02)
-    assert run == commands.Run(
+    assert arm == commands.ArmRequest(owner="me", Ts=0.02)
+    assert run == commands.RunRequest(
         lease="0" * 32, n=1, u=[0.5, 4.5, 0.5], experiment="blackbox", details={"seed": 3}
     )
     assert seen == [(1, 3), (2, 3), (3, 3)]
@@ -121,10 +121,10 @@ def test_a_client_with_a_dead_man_sends_signs_of_life_during_its_run(
     daemon.refusals["renew"] = "no run of this lease is planned or running"
     rig.run([1.0, 2.0], dead_man=2.0)
 
-    first = [r for r in daemon.asked if isinstance(r, commands.Leased)][:4]
+    first = [r for r in daemon.asked if isinstance(r, commands.LeasedRequest)][:4]
     assert [r.name for r in first] == ["run", "renew", "renew", "renew"]
     assert [r.n for r in first] == [1, 2, 3, 4]
-    assert isinstance(first[0], commands.Run)
+    assert isinstance(first[0], commands.RunRequest)
     assert first[0].dead_man == 2.0
     assert {r.lease for r in first} == {"0" * 32}
 
@@ -149,23 +149,23 @@ def test_the_sender_of_a_note_or_a_stop_is_named(daemon: FakeDaemon, rig: Rig) -
     rig.stop("the teacher")
 
     names = [getpass.getuser(), "a student", "the teacher"]
-    assert [r.by for r in daemon.asked if isinstance(r, commands.Stop)] == names
-    notes = [(r.text, r.owner) for r in daemon.asked if isinstance(r, commands.Note)]
+    assert [r.by for r in daemon.asked if isinstance(r, commands.StopRequest)] == names
+    notes = [(r.text, r.owner) for r in daemon.asked if isinstance(r, commands.NoteRequest)]
     assert notes == [*zip("012", names, strict=True)]
 
 
 def test_a_stop_without_a_name_is_sent_to_an_older_daemon(daemon: FakeDaemon, rig: Rig) -> None:
     carry_out = daemon._carry_out
 
-    def earlier(request: commands.Request) -> Any:
-        if isinstance(request, commands.Stop) and request.by:
+    def earlier(request: commands.DaemonRequest) -> Any:
+        if isinstance(request, commands.StopRequest) and request.by:
             raise ValueError("stop: Object contains unknown field `by`")
         return carry_out(request)
 
     daemon._carry_out = earlier
     rig.stop()
 
-    assert [r.by for r in daemon.asked if isinstance(r, commands.Stop)] == [""]
+    assert [r.by for r in daemon.asked if isinstance(r, commands.StopRequest)] == [""]
 
 
 @pytest.mark.parametrize("answer", [{}, {"stopped": True}, {"done": False}, [], "done"])
@@ -212,7 +212,7 @@ def test_a_run_without_a_reply_is_stopped(daemon: FakeDaemon, rig: Rig) -> None:
     rig.arm("me")
     prepared = rig._wait_for_beginning
 
-    def interrupted(request: commands.Run, samples: int) -> None:
+    def interrupted(request: commands.RunRequest, samples: int) -> None:
         prepared(request, samples)
         raise KeyboardInterrupt
 
@@ -345,6 +345,6 @@ def test_a_rig_with_another_rest_takes_its_input_by_name(
 
     if isinstance(expected, str):
         with pytest.raises(InputError, match=re.escape(expected)):
-            rig._allowed(u, own)
+            rig._volts(u, own)
     else:
-        assert rig._allowed(u, own).tolist() == expected
+        assert rig._volts(u, own).tolist() == expected

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import zenoh
 from armrig.rig.client import Rig
-from armrig.rig.collection import Plan, TimingNote, _interrupted_sentence, collect
+from armrig.rig.collection import Plan, TimingNote, _interruption_sentence, collect
 from armrig.rig.replies import Progress
 from armrig.rig.session import NoReplyError
 from armrig_core.commands.codes import OutcomeCode
-from armrig_core.commands.commands import Arm, LastRun, Run, Status, StatusReport
+from armrig_core.commands.commands import ArmRequest, LastRun, RunRequest, Status, StatusReport
 from msgspec.structs import replace
 
 from tests.clients.fake_daemon import FakeDaemon, step_plan, unseen
@@ -40,7 +40,7 @@ def test_an_interrupted_run_is_reported_with_its_own_recording(
 ) -> None:
     rig: Any = SimpleNamespace(rig="1", status=lambda: SimpleNamespace(last_run=last))
 
-    assert _interrupted_sentence(rig, before) == (
+    assert _interruption_sentence(rig, before) == (
         f"interrupted: a stop (0 V) was sent to rig 1; {said}"
     )
 
@@ -77,11 +77,11 @@ def test_a_collection_of_an_interrupted_run_ends_with_its_last_sample(where: str
     )
     with _SlowDisk(where) as daemon:
         told: list[str] = []
-        found = collect(plan, rig="1", connect=where, tell=told.append, shown=note)
+        found = collect(plan, rig="1", connect=where, tell=told.append, display=note)
         polls, [arm, run] = daemon._polls, [r for r in daemon.asked if not isinstance(r, Status)]
 
-    assert arm == Arm(owner="Ada", Ts=0.04)
-    assert run == Run(
+    assert arm == ArmRequest(owner="Ada", Ts=0.04)
+    assert run == RunRequest(
         lease="0" * 32, n=1, u=[1.04] * 15, pacing="exchange", experiment="own", details={"a": 2}
     )
     assert (found.samples, found.Ts, found.synced, found.verdict) == (15, 0.04, 8, None)
@@ -116,8 +116,8 @@ def test_default_levels_above_the_limit_of_the_rig_are_lowered(
     )
     told: list[str] = []
     with _LowRig(where) as daemon:
-        collect(plan, rig="1", connect=where, tell=told.append, shown=unseen)
-        [run] = [r for r in daemon.asked if isinstance(r, Run)]
+        collect(plan, rig="1", connect=where, tell=told.append, display=unseen)
+        [run] = [r for r in daemon.asked if isinstance(r, RunRequest)]
 
     assert (run.u, run.details["high"]) == (pytest.approx([u] * 10), pytest.approx(u))
     lowered = "the rig allows at most 3 V: the input is between 0.3 and 2.7 V"
@@ -137,7 +137,7 @@ class _CutOff(FakeDaemon):
 def test_a_daemon_that_ends_during_a_run_leaves_its_partial_recording(where: str) -> None:
     plan = step_plan("Ada", seconds=3.0)
     with _CutOff(where), pytest.raises(NoReplyError) as told:
-        collect(plan, rig="1", connect=where, tell=print, shown=unseen)
+        collect(plan, rig="1", connect=where, tell=print, display=unseen)
 
     text = str(told.value)
     assert text.startswith("the run was cut off after 200 or more of 300 samples: no reply from")

@@ -128,7 +128,7 @@ def test_a_collection_reports_the_outcome_and_the_stopped_service(service: Servi
     service.outcome, service.dies_with_its_run = "the daemon was ended", True
 
     with pytest.raises(RigError) as told:
-        collect(PLAN, rig="1", connect=None, tell=lambda _: None, shown=unseen)
+        collect(PLAN, rig="1", connect=None, tell=lambda _: None, display=unseen)
 
     assert str(told.value) == (
         "the run ended after 100 of 100 samples: the daemon was ended; recorded in "

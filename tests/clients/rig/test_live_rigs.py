@@ -77,7 +77,7 @@ def test_each_rig_at_an_endpoint_has_its_own_status_or_the_reason(
         c=_status("c"), a=b"", d=b"Timeout", b=_status("b"), e=b'{"error": "not permitted"}'
     )
     machine(
-        configured_connect=lambda: "tls/configured:1",
+        connect_setting=lambda: "tls/configured:1",
         open_endpoint=lambda at: Connection(session, at, ""),
     )
 
@@ -105,7 +105,7 @@ def test_an_unreachable_rig_of_this_machine_hides_no_other(
         return Connection(session, f"socket of {rig}", "")
 
     machine(
-        configured_connect=lambda: "",
+        connect_setting=lambda: "",
         local_rigs=lambda: ["a", "b", "c", "d"],
         default_endpoint=lambda rig: f"default of {rig}",
         open_connection=opened,

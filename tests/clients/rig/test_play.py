@@ -17,14 +17,14 @@ import zenoh
 from armrig.cli import main
 from armrig.rig import playback
 from armrig.rig.client import Rig
-from armrig.rig.playback import play, published, staged
+from armrig.rig.playback import open_stage, play, read_run
 from armrig.rig.session import NoReplyError, RigError, open_session
 from armrig.rig.telemetry_stream import LiveGap, stream
 from armrig_core.rig.channels import sample_names
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from armrig_core.telemetry import telemetry
 from armrig_core.telemetry.topics import check_own_id
-from armrig_daemon.config import Rig as RigTable
+from armrig_daemon.config import RigIdentity as RigTable
 
 from tests.clients.fake_clock import FakeClock
 from tests.clients.made_recordings import event, gap, manifest, recorded, sample, timing, written
@@ -70,10 +70,10 @@ def nobody_listens(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_samples_are_taken_in_pieces(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = list(published(run).messages())
+    whole = list(read_run(run).messages())
     monkeypatch.setattr(playback, "_BLOCK_SAMPLES", 7)
 
-    assert list(published(run).messages()) == whole
+    assert list(read_run(run).messages()) == whole
 
 
 @pytest.mark.parametrize(
@@ -89,9 +89,7 @@ def test_a_part_includes_its_start_time_and_excludes_its_end_time(
     begins.t_host_ns = messages[20].t_sched_ns
     messages[23:25] = [lost]
     messages[20:20] = [begins]
-    run = published(
-        written(tmp_path, recorded(messages, manifest=manifest(samples=N))), start, stop
-    )
+    run = read_run(written(tmp_path, recorded(messages, manifest=manifest(samples=N))), start, stop)
 
     others = {"timing": "begins", "gap": "gap"}
     assert [others[m.stream] for m in run.messages() if m.stream in others] == told
@@ -104,7 +102,7 @@ def test_a_gap_is_published_at_its_end(tmp_path: Path, after_us: int) -> None:
     lost.t_to_ns = behind.t_host_ns + 1000 * after_us
     samples = [sample(0), sample(1), sample(2), lost, behind, sample(6), sample(7)]
     messages = [event(0, "begun"), *samples, event(7, "ended"), last]
-    run = published(written(tmp_path, recorded(messages)))
+    run = read_run(written(tmp_path, recorded(messages)))
 
     found = list(run.messages())
 
@@ -120,7 +118,7 @@ def test_each_message_is_published_when_it_is_due(
 ) -> None:
     sent: list[float] = []
 
-    messages = list(play(published(run), lambda *_: sent.append(clock.now_s), speed=speed))
+    messages = list(play(read_run(run), lambda *_: sent.append(clock.now_s), speed=speed))
 
     due = [100.0 + (m.t - messages[0].t) / speed for m in messages]
     assert sent == pytest.approx(due, abs=1e-9)
@@ -129,7 +127,7 @@ def test_each_message_is_published_when_it_is_due(
 
 def test_a_long_pause_is_divided_into_short_sleeps(tmp_path: Path, clock: FakeClock) -> None:
     late = [sample(0), sample(1, t_host_ns=2**62)]
-    run = published(written(tmp_path, recorded(late)))
+    run = read_run(written(tmp_path, recorded(late)))
     clock.most_sleeps = 5
 
     with pytest.raises(KeyboardInterrupt):
@@ -141,7 +139,7 @@ def test_a_long_pause_is_divided_into_short_sleeps(tmp_path: Path, clock: FakeCl
 def test_a_listener_receives_the_recorded_messages(run: Path, where: str) -> None:
     heard: list[Any] = []
 
-    with staged(where, "played-1") as stage:
+    with open_stage(where, "played-1") as stage:
         samples = stream("rig/played-1/sample", connect=where)
 
         def listen() -> None:
@@ -153,7 +151,7 @@ def test_a_listener_receives_the_recorded_messages(run: Path, where: str) -> Non
         thread = threading.Thread(target=listen)
         thread.start()
         stage.wait_for_listener()
-        list(play(published(run), stage.publish, speed=1.0))
+        list(play(read_run(run), stage.publish, speed=1.0))
         thread.join(30)
         samples.close()
 
@@ -168,9 +166,9 @@ def test_a_listener_receives_the_recorded_messages(run: Path, where: str) -> Non
 def test_a_live_sample_has_the_names_of_its_rig(
     name: str, field: str, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    channels = shipped(name).channels
+    channels = builtin(name).channels
     one = sample(7)._replace(value_0=0.5)
-    with staged(where, "played-1", channels) as stage:
+    with open_stage(where, "played-1", channels) as stage:
         samples = stream("rig/played-1/sample", connect=where)
         ends = threading.Event()
 
@@ -201,11 +199,11 @@ def test_a_live_sample_has_the_names_of_its_rig(
 
 
 def test_a_slow_listener_does_not_delay_the_player(run: Path, where: str) -> None:
-    with staged(where, "played-1") as stage, open_session(where, rig="played-1") as listener:
+    with open_stage(where, "played-1") as stage, open_session(where, rig="played-1") as listener:
         heard = listener.declare_subscriber("rig/played-1/*", zenoh.handlers.FifoChannel(200))
         stage.wait_for_listener()
-        list(play(published(run), stage.publish, speed=1000.0))
-        received = [heard.recv() for _ in range(len(published(run)))]
+        list(play(read_run(run), stage.publish, speed=1000.0))
+        received = [heard.recv() for _ in range(len(read_run(run)))]
 
     assert {str(r.key_expr).rsplit("/", 1)[1] for r in received} == {
         "sample",
@@ -217,7 +215,7 @@ def test_a_slow_listener_does_not_delay_the_player(run: Path, where: str) -> Non
 
 
 def test_a_command_to_a_played_recording_is_refused(where: str) -> None:
-    with staged(where, "played-1"):
+    with open_stage(where, "played-1"):
         assert Path(where.removeprefix("unixsock-stream/")).stat().st_mode & 0o777 == 0o770
         with Rig("played-1", connect=where) as rig:
             with pytest.raises(NoReplyError, match="a played recording takes no"):
@@ -246,19 +244,19 @@ def test_a_command_to_a_played_recording_is_refused(where: str) -> None:
 
 def test_an_endpoint_in_use_is_reported(where: str) -> None:
     with (
-        staged(where, "played-1"),
+        open_stage(where, "played-1"),
         pytest.raises(RigError, match="played there already"),
-        staged(where, "played-1"),
+        open_stage(where, "played-1"),
     ):
         pass
-    with pytest.raises(RigError, match="--listen"), staged("nonsense", "played-1"):
+    with pytest.raises(RigError, match="--listen"), open_stage("nonsense", "played-1"):
         pass
 
 
 def test_the_repetition_of_a_run_begins_after_its_last_sample(
     tmp_path: Path, clock: FakeClock
 ) -> None:
-    one = published(written(tmp_path, recorded([sample(0)])))
+    one = read_run(written(tmp_path, recorded([sample(0)])))
 
     playback.rest(one, speed=0.5)
 
@@ -293,7 +291,7 @@ def test_ctrl_c_ends_a_player(run: Path, where: str, number: signal.Signals) -> 
     assert process.returncode == (0 if number == signal.SIGINT else 128 + number)
     assert json.loads(out)["published"] >= 60  # 58, an event and a sample
     assert "Traceback" not in err
-    with staged(where, "played-1"):
+    with open_stage(where, "played-1"):
         pass
 
 
@@ -314,4 +312,4 @@ def test_a_damaged_file_is_played_up_to_its_damage(
     far[1].count, far[1].t_to_ns = 2**64 - 1, -(2**63)
     far[0].timestamp.seconds = 2**62 // 10**9
     data = recorded(far, manifest=manifest(samples=10, k_first=0))
-    assert len(list(published(written(tmp_path, data, "far.mcap")).messages())) == 3
+    assert len(list(read_run(written(tmp_path, data, "far.mcap")).messages())) == 3

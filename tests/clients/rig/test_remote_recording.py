@@ -11,17 +11,17 @@ from typing import Any
 
 import armrig
 import pytest
-from armrig.recordings.files.container import streamed
+from armrig.recordings.files.container import stream_messages
 from armrig.recordings.files.verification import verify
 from armrig.recordings.grid import MISSING_LIMIT
 from armrig.rig import remote_recording
 from armrig.rig.remote_recording import STARTED_ANEW, DiskError, RecordedFile, RemoteRecording
 from armrig.rig.remote_source import Piece
 from armrig.rig.session import RigError
-from armrig.rig.telemetry_stream import decoded
+from armrig.rig.telemetry_stream import decode
 from armrig_core.commands.codes import COMPLETE, GapCode
 from armrig_core.recording_file import recording_part
-from armrig_core.recording_file.recorder import Recording
+from armrig_core.recording_file.recorder import ActiveRecording
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.history import Past
 from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
@@ -112,7 +112,7 @@ def test_the_decisions_of_a_law_are_recorded_with_the_samples(recording: RemoteR
     [found] = files(recording)
 
     assert ks(found) == [5, 6]
-    assert [m.r for m in streamed(found.path, "control")] == [2.0]
+    assert [m.r for m in stream_messages(found.path, "control")] == [2.0]
 
 
 def test_a_break_too_long_for_a_file_begins_a_new_file(recording: RemoteRecording) -> None:
@@ -192,7 +192,7 @@ def test_a_restart_of_the_daemon_begins_a_new_file(recording: RemoteRecording) -
         ("/rig/1/sample", sample_ns(k) + late, sample_ns(k), k, sample(k)[1])
         for k, late in ((5, 9), (8, 9), (10, 9))
     ] + [("/rig/1/sample", sample_ns(11) + 500, sample_ns(11), 11, gone[1])]
-    held, lost = (decoded("gap", entry[4]) for entry in raw if "gap" in entry[0])
+    held, lost = (decode("gap", entry[4]) for entry in raw if "gap" in entry[0])
     assert (held.reason, lost.reason) == ("link silent", GapCode.RECORDER_CUT_OFF.sentence)
     assert (held.t_from_ns, held.t_to_ns) == (sample_ns(6), sample_ns(8))
     assert (lost.t_from_ns, lost.t_to_ns) == (sample_ns(8) + 9, sample_ns(10) + 9)
@@ -323,13 +323,13 @@ def test_the_recorder_waits_for_a_slow_disk(
     recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     goes = threading.Event()
-    add = recording_part.Part.add
+    add = recording_part.RecordingPart.add
 
-    def slow(part: recording_part.Part, message: Outgoing) -> None:
+    def slow(part: recording_part.RecordingPart, message: Outgoing) -> None:
         goes.wait(30)
         add(part, message)
 
-    monkeypatch.setattr(recording_part.Part, "add", slow)
+    monkeypatch.setattr(recording_part.RecordingPart, "add", slow)
 
     def fill() -> None:
         recording.add(piece(state()))
@@ -353,10 +353,10 @@ def test_a_disk_that_does_not_answer_ends_the_recorder(
 ) -> None:
     """Also if only the sync waits, and no message."""
     goes = threading.Event()
-    monkeypatch.setattr(recording_part.Part, "sync", lambda _: goes.wait(60))
+    monkeypatch.setattr(recording_part.RecordingPart, "sync", lambda _: goes.wait(60))
     recording.add(piece(state()))
     recording.add(piece(sample(0)))
-    monkeypatch.setattr(Recording, "look", partialmethod(Recording.look, 0.0))
+    monkeypatch.setattr(ActiveRecording, "look", partialmethod(ActiveRecording.look, 0.0))
 
     def fill() -> None:
         for k in range(1, 100_000):
@@ -371,15 +371,15 @@ def test_a_file_ended_by_a_full_disk_is_complete_and_listed(
     recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The reserve completes the file; the error names the disk's reason."""
-    flush = recording_part.Part.flush
+    flush = recording_part.RecordingPart.flush
     added = threading.Event()
 
-    def full(self: recording_part.Part) -> None:
+    def full(self: recording_part.RecordingPart) -> None:
         added.wait(30)
         flush(self)
         raise recording_part.EndsHereError("No space left on device")
 
-    monkeypatch.setattr(recording_part.Part, "flush", full)
+    monkeypatch.setattr(recording_part.RecordingPart, "flush", full)
     recording.add(piece(state(), *map(sample, range(5))))
     added.set()
     wait_for(recording.path.exists)

@@ -16,7 +16,7 @@ from armrig.rig.client import Rig
 from armrig.rig.replies import MOST_BYTES, BusyError, RefusedError, refusal_of, reply_of
 from armrig.rig.session import MOST_RECEIVED, NoReplyError, RigError
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.commands.commands import Done, LeaseGranted, Refused, StatusReport, refused
+from armrig_core.commands.commands import Done, LeaseGranted, Refused, StatusReport, build_refusal
 from armrig_core.errors import MalformedReplyError
 
 from tests.clients.fake_daemon import FakeDaemon
@@ -102,8 +102,8 @@ def test_a_refusal_that_is_too_long_is_not_read() -> None:
 @pytest.mark.parametrize(
     ("body", "passes", "code"),
     [
-        (refused(RefusalCode.LATE, "sleepy"), True, "late"),
-        (refused(RefusalCode.HELD, "a student said: try again"), False, "held"),
+        (build_refusal(RefusalCode.LATE, "sleepy"), True, "late"),
+        (build_refusal(RefusalCode.HELD, "a student said: try again"), False, "held"),
         (Refused(error="new", code="a code of tomorrow", passes=True), True, "a code of tomorrow"),
         (Refused(error="busy with STOP: try again", passes=True), True, ""),
         (Refused(error="in fault: correct the cause, then reset"), False, ""),

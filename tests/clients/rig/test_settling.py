@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from armrig.rig.settling import Settling
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Flag
 
@@ -16,7 +16,7 @@ def _settles_at(
     name: str, tau: float, *, noise: float = 0.05, gain: float = 10.0, dead_s: float = 0.0
 ) -> float:
     """Return the time in s after which a step of a first-order rig counts as settled."""
-    rng, channels = np.random.default_rng(5), shipped(name).channels
+    rng, channels = np.random.default_rng(5), builtin(name).channels
     settling = Settling(channels, AT_S, TS)
     t = TS * np.arange(20_000)
     since = np.maximum(t - AT_S - dead_s, 0.0)

@@ -9,7 +9,7 @@ import armrig
 import numpy as np
 from armrig import Fit, Signals
 from armrig.data.dataset import Dataset
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
@@ -17,7 +17,7 @@ Vector = NDArray[np.float64]
 
 def of_second_order(u: Vector, *, nk: int = 1, level: float = 0.0) -> Dataset:
     """Return 0.1 (1 + 0.5 q^-1)/(1 - 1.4 q^-1 + 0.5 q^-2) u(t - nk), a level and noise."""
-    y = filtered(np.append(np.zeros(nk), [0.1, 0.05]), [1.0, -1.4, 0.5], u)
+    y = apply_filter(np.append(np.zeros(nk), [0.1, 0.05]), [1.0, -1.4, 0.5], u)
     e = 0.05 * np.random.default_rng(3).standard_normal(u.size)
     return Dataset(u=u, y=y + level + e, Ts=0.02)
 
@@ -26,7 +26,7 @@ def under_control(N: int = 1500) -> Dataset:
     """Return the same plant under u = (r - y)/2, noise of a pole at 0.9, r a step every 50."""
     rng = np.random.default_rng(5)
     r = np.repeat(rng.uniform(-1, 1, N // 50), 50)
-    v = filtered([1.0], [1.0, -0.9], 0.1 * rng.standard_normal(N))
+    v = apply_filter([1.0], [1.0, -0.9], 0.1 * rng.standard_normal(N))
     x, u, y = np.zeros(N), np.zeros(N), np.zeros(N)
     for t in range(N):
         if t > 1:
@@ -50,11 +50,11 @@ def two_outputs(seed: int, *, missing: float = 0.0, cross: float = 0.5) -> Signa
     u = np.repeat(np.sign(rng.standard_normal((SAMPLES // 2, 2))), 2, axis=0)
     y = np.column_stack(
         [
-            filtered([0, 1.0, 0.5], [1, -1.2, 0.5], u[:, 0]),
-            filtered([0, 0.3], [1, -0.3], u[:, 0]) + filtered([0, 0.8], [1, -0.7], u[:, 1]),
+            apply_filter([0, 1.0, 0.5], [1, -1.2, 0.5], u[:, 0]),
+            apply_filter([0, 0.3], [1, -0.3], u[:, 0]) + apply_filter([0, 0.8], [1, -0.7], u[:, 1]),
         ]
     )
-    y[:, 0] += cross * filtered([0, 0, 1.0], [1, -0.7], u[:, 1])
+    y[:, 0] += cross * apply_filter([0, 0, 1.0], [1, -0.7], u[:, 1])
     y += rng.multivariate_normal([0, 0], [[0.04, 0.02], [0.02, 0.03]], SAMPLES)
     valid = rng.random(y.shape) >= missing
     return Signals(u=u, y=y, Ts=0.1, valid=valid, inputs=["u1", "u2"], outputs=["y1", "y2"])

@@ -13,7 +13,7 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import warning
 from armrig.data.treatment.integrating import integration
 from armrig.models.structure_table import STRUCTURES
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.validation.advice import Advice, _about_negative_poles, _about_pole_at_1, examine_fit_of
 from armrig.validation.answer import answer
 
@@ -257,7 +257,7 @@ def test_a_pole_that_another_channel_needs_is_not_superfluous(nf: int, superfluo
     """Each pole is cancelled in one of two outputs: both are needed, and a third pole is not."""
     rng = np.random.default_rng(4)
     u = rng.choice([-1.0, 1.0], 1000)
-    clean = np.column_stack([filtered([0, 1.0], [1, -pole], u) for pole in (0.9, 0.4)])
+    clean = np.column_stack([apply_filter([0, 1.0], [1, -pole], u) for pole in (0.9, 0.4)])
     signals = armrig.Signals(u=u, y=clean + 0.1 * rng.standard_normal(clean.shape), Ts=0.1)
     fit = armrig.oe(signals, nb=nf, nf=nf, shared="denominator")
 
@@ -271,7 +271,7 @@ def test_pulses_of_another_input_are_no_outliers() -> None:
     rng = np.random.default_rng(2)
     u = np.column_stack([rng.standard_normal(1000), np.zeros(1000)])
     u[rng.choice(1000, 12, replace=False), 1] = 1.0
-    y = filtered([0, 1.0], [1, -0.7], u[:, 0]) + filtered([0, 2.0], [1.0], u[:, 1])
+    y = apply_filter([0, 1.0], [1, -0.7], u[:, 0]) + apply_filter([0, 2.0], [1.0], u[:, 1])
     y += 0.1 * rng.standard_normal(1000)
     data = Signals(u=u, y=y[:, None], Ts=0.1, inputs=["u1", "u2"])
 
@@ -285,7 +285,7 @@ def slow_heaters() -> Signals:
     """Return the temperature between two heaters; its time constant is a fifth of the record."""
     rng, pole = np.random.default_rng([87, 14]), np.exp(-1 / 175)
     q = np.column_stack([np.repeat(rng.choice([0.0, 40.0, 80.0], 10), 90) for _ in range(2)])
-    T = filtered(np.append(np.zeros(16), 0.9 * (1 - pole)), [1, -pole], q @ [1.0, 0.3])
+    T = apply_filter(np.append(np.zeros(16), 0.9 * (1 - pole)), [1, -pole], q @ [1.0, 0.3])
     T += 22 + 0.1 * rng.standard_normal(900)
     return Signals(u=q, y=T[:, None], Ts=1.0, inputs=["Q1", "Q2"], outputs=["T1"])
 
@@ -306,7 +306,7 @@ def test_a_slow_output_that_another_input_moves_is_not_called_integrating() -> N
 def test_an_output_that_integrates_one_of_two_inputs_keeps_its_integrator() -> None:
     rng = np.random.default_rng(0)
     u = np.repeat(rng.choice([-1.0, 1.0], (80, 2)), 10, axis=0)
-    y = filtered([0, 0.1], [1, -1], u[:, 0]) + filtered([0, 0.5], [1, -0.5], u[:, 1])
+    y = apply_filter([0, 0.1], [1, -1], u[:, 0]) + apply_filter([0, 0.5], [1, -0.5], u[:, 1])
     y += 0.05 * rng.standard_normal(800)
     data = Signals(u=u, y=y[:, None], Ts=0.1, inputs=["u1", "u2"])
 

@@ -125,7 +125,7 @@ def test_a_model_may_begin_at_each_lag_that_is_not_ruled_out(
     data = Dataset(u=telegraph(), y=telegraph(), Ts=0.02)
 
     known = known_of(late=late(3, (2, 4)))
-    monkeypatch.setattr(advice, "tested", lambda *_: known)
+    monkeypatch.setattr(advice, "preliminary_tests", lambda *_: known)
 
     found = [*advice.examine_fit_of(data, fit)]
 
@@ -181,7 +181,7 @@ def test_eight_parameters_need_an_excitation_of_order_eight(order: int, good: bo
 def test_a_model_needs_an_excitation_of_as_many_orders_as_parameters(
     fit: Fit, needed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(advice, "tested", lambda *_: known_of())
+    monkeypatch.setattr(advice, "preliminary_tests", lambda *_: known_of())
 
     poor, enough = (
         [*advice.examine_fit_of(exciting(order), fit)] for order in (needed - 1, needed)

@@ -18,7 +18,7 @@ from armrig.estimation.arx import arx
 from armrig.estimation.polynomial_structures import armax, bj, oe
 from armrig.excitation import telegraph
 from armrig.models.predictor import parameters_of
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.validation.comparison import compare
 from armrig.validation.residuals import residuals
 from scipy.stats import chi2
@@ -35,7 +35,7 @@ def data(seed: int, N: int = 600, noise: float = 0.3) -> Dataset:
     """Return y = B/F u + e."""
     rng = np.random.default_rng(seed)
     u = telegraph(N, 0.3, seed=rng)
-    return Dataset(u=u, y=filtered(B, F, u) + noise * rng.standard_normal(N), Ts=1, unit="V")
+    return Dataset(u=u, y=apply_filter(B, F, u) + noise * rng.standard_normal(N), Ts=1, unit="V")
 
 
 def test_the_fit_percent_equals_the_formula_of_the_textbook() -> None:
@@ -84,8 +84,8 @@ def test_the_band_is_wider_if_residuals_and_input_are_both_coloured() -> None:
     N, a, c = 20_000, 0.1, 0.8
     rng = np.random.default_rng(4)
     u = telegraph(N, a, seed=rng)
-    e = filtered([1], [1, -c], rng.standard_normal(N))
-    coloured = Dataset(u=u, y=filtered(B, F, u) + e, Ts=1)
+    e = apply_filter([1], [1, -c], rng.standard_normal(N))
+    coloured = Dataset(u=u, y=apply_filter(B, F, u) + e, Ts=1)
     rho = (1 - 2 * a) * c  # both correlations are geometric
     expected = 2.58 * np.sqrt((1 + rho) / (1 - rho) / N)
 
@@ -112,9 +112,9 @@ def test_every_noise_parameter_reduces_the_degrees_of_freedom_on_estimation_data
     L = 12
     rng = np.random.default_rng(8)
     u, e = rng.standard_normal((2, 800))
-    seen = Dataset(u=u, y=filtered(B, F, u) + filtered([1, 0.5], [1, -0.7], e), Ts=1)
-    own = Dataset(u=u, y=filtered([1], [1, -0.8, 0.2], e), Ts=1)
-    other = own.replaced(y=filtered([1], [1, -0.8, 0.2], rng.standard_normal(800)), step=None)
+    seen = Dataset(u=u, y=apply_filter(B, F, u) + apply_filter([1, 0.5], [1, -0.7], e), Ts=1)
+    own = Dataset(u=u, y=apply_filter([1], [1, -0.8, 0.2], e), Ts=1)
+    other = own.replaced(y=apply_filter([1], [1, -0.8, 0.2], rng.standard_normal(800)), step=None)
     for fit, judged, noise in (
         (arx(own, na=2, nb=1), own, 2),
         (arx(own, na=2, nb=1), other, 0),
@@ -175,7 +175,7 @@ def test_the_prediction_error_of_a_long_angle_is_its_noise() -> None:
     n = 2000
     u = np.repeat(rng.choice([0.0, 5.0], n // 10), 10)
     B, F = [0, 0.004, 0.003], np.poly([0.91 + 0.16j, 0.91 - 0.16j, 0.69]).real
-    rate = filtered(B, F, u)
+    rate = apply_filter(B, F, u)
     y = np.column_stack([np.cumsum(rate), rate])
     y += 1e-4 * rng.standard_normal(y.shape)
     data = Signals(u=u[:, None], y=y, Ts=0.01, inputs=["u"], outputs=["angle", "rate"])

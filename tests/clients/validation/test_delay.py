@@ -11,10 +11,10 @@ from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.numerics.criteria import mdl
-from armrig.numerics.polynomial import filtered, impulse
+from armrig.numerics.polynomial import apply_filter, impulse
 from armrig.numerics.regressors import best_arx
 from armrig.validation.feedback_and_delay.by_channel import without_other_inputs
-from armrig.validation.feedback_and_delay.delay import _hidden_by_steps
+from armrig.validation.feedback_and_delay.delay import _least_nk_by_steps
 from armrig.validation.feedback_and_delay.lag_tests import _least_without_one, lag_tests
 from armrig_core.errors import InputError
 from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
@@ -43,7 +43,7 @@ def test_few_samples_are_tested_with_their_degrees_of_freedom(level: float) -> N
     """F_k of 100 samples against least squares written out: N - d and the level of y count."""
     rng = np.random.default_rng(2)
     u = rng.standard_normal(100)
-    y = level + filtered([0.0, 0.0, 0.4, 0.3], [1.0, -0.5], u) + 0.3 * rng.standard_normal(100)
+    y = level + apply_filter([0.0, 0.0, 0.4, 0.3], [1.0, -0.5], u) + 0.3 * rng.standard_normal(100)
     data = Dataset(u=u, y=y, Ts=1.0)
 
     response = armrig.impulse_response(data, 10, kernel=None)
@@ -90,7 +90,7 @@ def test_the_delay_is_found(plant: HandoutPlant, samples: int) -> None:
 def test_a_direct_term_is_a_delay_of_minus_one() -> None:
     rng = np.random.default_rng(1)
     u = rng.choice([-1.0, 1.0], 1000)
-    y = filtered([0.5, 0.3], [1.0, -0.7], u) + 0.1 * rng.standard_normal(1000)
+    y = apply_filter([0.5, 0.3], [1.0, -0.7], u) + 0.1 * rng.standard_normal(1000)
 
     found = armrig.delay(Dataset(u=u, y=y, Ts=1.0))
 
@@ -106,9 +106,9 @@ def resonant(seed: int, N: int = 2000, noise: float = 1.0) -> Dataset:
     g = np.zeros(1)
     while abs(g[0]) <= 0.25 * np.abs(g).max():
         B = rng.standard_normal(6)
-        g = filtered(B, [1.0], impulse(F, 400))
+        g = apply_filter(B, [1.0], impulse(F, 400))
     u = rng.standard_normal(N)
-    y = filtered(np.append(np.zeros(4), B), F, u)
+    y = apply_filter(np.append(np.zeros(4), B), F, u)
     return Dataset(u=u, y=y + noise * np.std(y) * rng.standard_normal(N), Ts=1.0)
 
 
@@ -150,7 +150,7 @@ def test_many_short_experiments_determine_the_delay() -> None:
     parts = []
     for _ in range(12):
         u = rng.standard_normal(60)
-        y = filtered([0, 0, 0.5, 0.3], [1.0, -0.8], u) + 0.1 * rng.standard_normal(60)
+        y = apply_filter([0, 0, 0.5, 0.3], [1.0, -0.8], u) + 0.1 * rng.standard_normal(60)
         parts.append(Dataset(u=u, y=y, Ts=1.0))
 
     found = armrig.delay(merge(parts))
@@ -162,7 +162,7 @@ def test_with_three_samples_in_ten_missing_the_impulse_response_is_tested() -> N
     """Hardly a row then has all of its past outputs."""
     rng = np.random.default_rng(2)
     u = rng.standard_normal(1500)
-    y = filtered([0, 0, 0, 0.5, 0.3], [1.0, -0.8], u) + 0.3 * rng.standard_normal(1500)
+    y = apply_filter([0, 0, 0, 0.5, 0.3], [1.0, -0.8], u) + 0.3 * rng.standard_normal(1500)
     data = Dataset(u=u, y=y, Ts=1.0, valid=rng.random(1500) > 0.3)
 
     found = armrig.delay(data)
@@ -189,14 +189,14 @@ def test_an_input_that_follows_from_its_own_past_is_refused() -> None:
 
     for u in (np.ones(1000), np.sin(0.3 * t), twenty):
         with pytest.raises(ValueError, match="too narrow to find a delay"):
-            armrig.delay(Dataset(u=u, y=filtered([0, 0.5], [1, -0.8], u) + noise, Ts=1.0))
+            armrig.delay(Dataset(u=u, y=apply_filter([0, 0.5], [1, -0.8], u) + noise, Ts=1.0))
 
 
 def test_a_prbs_of_a_short_period_determines_the_delay() -> None:
     """A PRBS of 31 samples determines 30 lags, which A and B share."""
     rng = np.random.default_rng(6)
     u = armrig.prbs(1000, register=5)
-    y = filtered([0, 0, 0.5, 0.3], [1.0, -0.8], u) + 0.1 * rng.standard_normal(1000)
+    y = apply_filter([0, 0, 0.5, 0.3], [1.0, -0.8], u) + 0.1 * rng.standard_normal(1000)
 
     found = armrig.delay(Dataset(u=u, y=y, Ts=1.0))
 
@@ -296,7 +296,7 @@ def test_a_direct_term_and_feedback_without_delay_look_the_same() -> None:
     rng = np.random.default_rng(1)
 
     for u, nk in ((rng.choice([-1.0, 1.0], 1000), 0), (rng.standard_normal(1000), 1)):
-        y = filtered([0.5, 0.3], [1.0, -0.8], u) + 0.1 * rng.standard_normal(1000)
+        y = apply_filter([0.5, 0.3], [1.0, -0.8], u) + 0.1 * rng.standard_normal(1000)
         found = armrig.delay(Dataset(u=u, y=y, Ts=1.0))
         assert (found.nk, found.interval) == (nk, (0, nk))
         assert "feedback looks the same as a direct term" in repr(found)
@@ -311,7 +311,7 @@ def test_lags_hidden_by_quantisation_are_not_ruled_out(
     changes: int, t_q: float | None, low: int
 ) -> None:
     """Lags 2 to 6 at 10 ms; if u changes often, the error of a reading averages out."""
-    found, remarks = _hidden_by_steps(2, 6, changes, t_q, 0.01)
+    found, remarks = _least_nk_by_steps(2, 6, changes, t_q, 0.01)
 
     assert found == low
     assert bool(remarks) == (changes < 10 and t_q is not None)
@@ -348,9 +348,9 @@ def held(
         u += [6.0 if high else -6.0] * (10 * int(rng.integers(1, 12)))
         high = not high
     share, size = spikes
-    drift = filtered([1.0], [1.0, -0.99], walk * rng.standard_normal(N))
+    drift = apply_filter([1.0], [1.0, -0.99], walk * rng.standard_normal(N))
     spike = np.where(rng.random(N) < share, size * rng.standard_normal(N), 0.0)
-    x = filtered([*np.zeros(6), gain], [1.0, -pole], np.array(u[:N]))
+    x = apply_filter([*np.zeros(6), gain], [1.0, -pole], np.array(u[:N]))
     y = np.round(120 + x + drift + 0.5 * rng.standard_normal(N) + spike)
     return Dataset(u=np.array(u[:N]), y=y, Ts=0.025)
 

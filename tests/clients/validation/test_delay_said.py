@@ -11,13 +11,13 @@ import pytest
 from armrig import telegraph
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.polynomial import Array, apply_filter
 from armrig.validation.feedback_and_delay.delay import (
-    _hidden_s,
+    _hiding_time_s,
+    count_determined_lags,
     delay,
-    determined_lags,
 )
-from armrig.validation.feedback_and_delay.lag_tests import LEVEL, LagTests, _averaged, possible
+from armrig.validation.feedback_and_delay.lag_tests import LEVEL, LagTests, _average_input, possible
 from armrig.validation.feedback_and_delay.open_loop import _is_exact, _remarks, open_loop
 from armrig.validation.feedback_and_delay.sims import FUTURE, sims
 from armrig_core.errors import InputError
@@ -85,7 +85,7 @@ def test_the_interval_of_a_dead_time_is_short_and_contains_the_truth() -> None:
         nk, poles = int(rng.integers(1, 80)), rng.uniform(0.3, 0.9, 2)
         u = telegraph(1500, 0.1, seed=seed)
         late = np.concatenate([np.full(nk, u[0]), u[:-nk]]) - u.mean()
-        y = filtered(np.array([1.0, 0.5]), np.poly(poles), late)
+        y = apply_filter(np.array([1.0, 0.5]), np.poly(poles), late)
         y += np.std(y) / 5 * rng.standard_normal(u.size)
         first, last = delay(Dataset(u=u, y=y, Ts=1.0)).interval
         inside += first <= nk <= last
@@ -115,7 +115,7 @@ def test_a_lag_is_possible_below_its_limit_or_near_the_best(
 def test_a_smooth_onset_averages_within_each_experiment() -> None:
     parts = [Dataset(u=u, y=np.zeros(3), Ts=1.0) for u in ([1.0, 3.0, 7.0], [10.0, 20.0, 0.0])]
 
-    averaged = _averaged(merge(parts))
+    averaged = _average_input(merge(parts))
 
     assert averaged.u.tolist() == [1.0, 2.0, 5.0, 10.0, 15.0, 10.0]
 
@@ -126,11 +126,11 @@ def test_quantisation_hides_an_angle_until_its_largest_response_passes_a_step() 
     for output in ("theta_1", "alpha", "speed"):
         data = Dataset(u=np.zeros(9), y=np.zeros(9), Ts=0.1, output=output)
 
-        hidden = _hidden_s(data, rise, 0.5)
+        hidden = _hiding_time_s(data, rise, 0.5)
 
         expected = None if output == "speed" else pytest.approx(0.3 * np.sqrt(0.5 / 0.6))
         assert hidden == expected
-        assert _hidden_s(data, rise, 0.0) is None
+        assert _hiding_time_s(data, rise, 0.0) is None
 
 
 def test_missing_samples_are_not_enough_samples() -> None:
@@ -146,12 +146,12 @@ def test_an_input_of_few_sines_determines_few_lags() -> None:
     t = np.arange(800)
     sines = sum(np.cos(w * t + w) for w in np.linspace(0.2, 3.0, 16))
 
-    assert determined_lags(Dataset(u=rng.standard_normal(800), y=t * 0.0, Ts=1.0), 60) == 60
-    found_ = determined_lags(Dataset(u=5.0 + np.asarray(sines), y=t * 0.0, Ts=1.0), 60)
+    assert count_determined_lags(Dataset(u=rng.standard_normal(800), y=t * 0.0, Ts=1.0), 60) == 60
+    found_ = count_determined_lags(Dataset(u=5.0 + np.asarray(sines), y=t * 0.0, Ts=1.0), 60)
     assert found_ in (32, 33)
     few = sum(np.cos(w * t + w) for w in np.linspace(0.2, 3.0, 5))
     with pytest.raises(InputError, match="u determines 10 lags only: the band of u is too narrow"):
-        determined_lags(Dataset(u=np.asarray(few), y=t * 0.0, Ts=1.0), 60)
+        count_determined_lags(Dataset(u=np.asarray(few), y=t * 0.0, Ts=1.0), 60)
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_sims_test_is_the_regression_of_its_docstring() -> None:
     for seed, N in ((1, 150), (2, 120)):
         rng = np.random.default_rng(seed)
         u = rng.standard_normal(N)
-        y = 5.0 * seed + filtered([0.3, 1.0], [1.0, -0.6], u) + rng.standard_normal(N)
+        y = 5.0 * seed + apply_filter([0.3, 1.0], [1.0, -0.6], u) + rng.standard_normal(N)
         valid = np.ones(N, dtype=bool)
         valid[[70, 71, 90]] = False
         parts.append(Dataset(u=u, y=y, Ts=1.0, valid=valid))

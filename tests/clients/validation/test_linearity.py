@@ -8,7 +8,7 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 from tests.clients.validation.plants import of_second_order, switched
 from tests.plants import drawn_model, nonlinear_rig
@@ -55,7 +55,7 @@ def test_an_effect_outside_of_nearly_all_samples_is_no_dead_zone() -> None:
     """The smallest zone that fits these data contains 0.9 % of u."""
     rng = np.random.default_rng(9)
     u = np.repeat(np.append(rng.uniform(1, 5, 198), [0.0, 0.05]), 8)
-    y = filtered([0, 0.2], [1, -0.8], np.maximum(u, 0.9)) + 0.002 * rng.standard_normal(u.size)
+    y = apply_filter([0, 0.2], [1, -0.8], np.maximum(u, 0.9)) + 0.002 * rng.standard_normal(u.size)
     found: Any = armrig.linearity(armrig.Dataset(u=u, y=y, Ts=1.0))
 
     assert not found.linear
@@ -98,7 +98,7 @@ def test_a_slow_pole_does_not_look_nonlinear() -> None:
     for seed in range(8):
         rng = np.random.default_rng([seed, 53])
         u = armrig.telegraph(2000, 0.1, 1.0, 4.0, seed=rng)
-        x = filtered([0, 1.0], np.poly([0.996, 0.986]), u)
+        x = apply_filter([0, 1.0], np.poly([0.996, 0.986]), u)
         y = x + 0.1 * np.std(x) * rng.standard_normal(2000)
         p.append(armrig.linearity(armrig.Dataset(u=u, y=y, Ts=1.0)).p)
 

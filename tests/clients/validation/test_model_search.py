@@ -17,7 +17,7 @@ from armrig.estimation.arx import arx
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
 from armrig.models.structure_table import OfferedName
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.validation.model_search import _is_as_good, search
 from armrig.validation.search_result import Candidate, SearchResult
 from armrig_core.errors import InputError
@@ -44,8 +44,8 @@ def tried(found: SearchResult) -> list[Candidate]:
 def _data(seed: int, C: list[float], D: list[float], N: int = 1500) -> Dataset:
     rng = np.random.default_rng(seed)
     u = telegraph(N, 0.3, 1.5, 3.5, seed=rng) - 2.5
-    y = filtered([0.0, 1.0, 0.5], [1.0, -1.2, 0.6], u)
-    return Dataset(u=u, y=y + filtered(C, D, 0.5 * rng.standard_normal(N)), Ts=1.0)
+    y = apply_filter([0.0, 1.0, 0.5], [1.0, -1.2, 0.6], u)
+    return Dataset(u=u, y=y + apply_filter(C, D, 0.5 * rng.standard_normal(N)), Ts=1.0)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_the_highest_order_that_was_tried_is_reported_if_chosen(highest: int, sa
 def test_a_direct_term_is_tried_if_the_data_show_one(direct: float, delays: set[int]) -> None:
     rng = np.random.default_rng(1)
     u = telegraph(1000, 0.3, 1.5, 3.5, seed=rng) - 2.5
-    y = filtered([direct, 1.0], [1.0, -0.8], u) + 0.3 * rng.standard_normal(1000)
+    y = apply_filter([direct, 1.0], [1.0, -0.8], u) + 0.3 * rng.standard_normal(1000)
 
     found = search(Dataset(u=u, y=y, Ts=1.0), families=("oe",), orders=(1, 2))
 
@@ -195,7 +195,7 @@ def test_a_model_with_an_unbounded_output_is_not_ranked() -> None:
 def _of_one_pole(pole: float, N: int, seed: int) -> Dataset:
     rng = np.random.default_rng(seed)
     u = rng.choice([0.0, 1.0], N)
-    y = filtered(np.array([0.0, 1.0]), np.array([1.0, -pole]), u)
+    y = apply_filter(np.array([0.0, 1.0]), np.array([1.0, -pole]), u)
     return Dataset(u=u, y=y + 1e-3 * rng.standard_normal(N), Ts=1.0)
 
 
@@ -208,7 +208,7 @@ def test_orders_above_five_are_tried_while_the_choice_has_the_highest(
     F = np.real(
         np.poly([0.95 * np.exp(s * w * 1j) for w in (0.4, 1.2, 2.2) for s in (1, -1)][:poles])
     )
-    y = filtered([0.0, 1.0], F, u)
+    y = apply_filter([0.0, 1.0], F, u)
     data = Dataset(u=u, y=y + 0.01 * rng.standard_normal(400), Ts=1.0)
 
     found = search(data, families=("oe",), nk=1, integrator=False, offset=False)
@@ -438,7 +438,7 @@ def test_a_state_space_has_no_k_if_samples_are_missing(missing: float) -> None:
 def test_the_search_finds_the_integrator_of_one_output() -> None:
     rng = np.random.default_rng(3)
     u = np.repeat(np.sign(rng.standard_normal(SAMPLES // 4)), 4)
-    rate = filtered([0, 0.4, 0.2], np.poly([0.8, 0.5]), u)
+    rate = apply_filter([0, 0.4, 0.2], np.poly([0.8, 0.5]), u)
     y = np.column_stack([np.cumsum(rate), rate]) + 0.05 * rng.standard_normal((SAMPLES, 2))
     data = Signals(u=u[:, None], y=y, Ts=0.1, outputs=["angle", "rate"])
 

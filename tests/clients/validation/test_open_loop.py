@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import multisine, prbs, telegraph
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.validation.feedback_and_delay.sims import Sims, sims
 from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
@@ -53,7 +53,7 @@ def replayed(plant: HandoutPlant, u: Vector, rng: np.random.Generator, std: floa
     [
         lambda rng: prbs(1000, 5, 0.0, 5.0, seed=rng),
         lambda rng: np.repeat(rng.choice([0.0, 5.0], 143), 7)[:1000],
-        lambda rng: filtered([1.0], [1.0, -1.7, 0.73], rng.standard_normal(1000)),
+        lambda rng: apply_filter([1.0], [1.0, -1.7, 0.73], rng.standard_normal(1000)),
         lambda rng: rng.choice([-2.5, 2.5], 1000),
     ],
     ids=["prbs", "held", "low-pass", "zero mean"],
@@ -191,7 +191,9 @@ def test_memory_does_not_grow_with_the_regression() -> None:
     """100 000 samples would need 70 MB of regressors."""
     rng = np.random.default_rng(1)
     u = rng.standard_normal(100_000)
-    data = Dataset(u=u, y=filtered([0.0, 1.0], [1.0, -0.9], u) + rng.standard_normal(u.size), Ts=1)
+    data = Dataset(
+        u=u, y=apply_filter([0.0, 1.0], [1.0, -0.9], u) + rng.standard_normal(u.size), Ts=1
+    )
 
     tracemalloc.start()
     sims(data)
@@ -235,7 +237,7 @@ def test_the_inputs_after_u_t_have_a_separate_test() -> None:
 
     for seed in (1, 4, 11):  # of small F, where the degrees of freedom matter most
         u, e = np.random.default_rng(seed).standard_normal((2, 10_000))
-        found = sims(Dataset(u=u, y=filtered([0, 1.0], [1.0, -0.5], u) + e, Ts=1.0))
+        found = sims(Dataset(u=u, y=apply_filter([0, 1.0], [1.0, -0.5], u) + e, Ts=1.0))
         later = found.lags < 0
         z = found.coefficients[later] / found.std[later]
 

@@ -16,7 +16,7 @@ from armrig.estimation.polynomial_structures import oe
 from armrig.models.fit import Fit
 from armrig.models.predictor import parameters_of, prediction_errors
 from armrig.numerics.covariance import pairwise_covariance
-from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.polynomial import Array, apply_filter
 from armrig.numerics.whiteness import joint_p_value, portmanteau
 from armrig.validation.output_whiteness import _white, white_by_output
 from armrig.validation.projection import projection
@@ -42,7 +42,7 @@ def data(seed: int, N: int, B: list[float] | None = None) -> Dataset:
     """Return y = B/F u + e about a level, so that a mean that stays is seen."""
     rng = np.random.default_rng(seed)
     u = 3.0 + rng.standard_normal(N)
-    y = filtered(B or [0, 1, 0.5], [1, -1.2, 0.6], u) + 0.3 * rng.standard_normal(N)
+    y = apply_filter(B or [0, 1, 0.5], [1, -1.2, 0.6], u) + 0.3 * rng.standard_normal(N)
     return Dataset(u=u, y=y, Ts=1)
 
 
@@ -147,7 +147,7 @@ def test_a_constant_input_tests_neither_dynamics_nor_feedback() -> None:
     rng = np.random.default_rng(1)
     u = np.repeat(rng.choice([-1.0, 1.0], 100), 4)
     noise = 0.1 * rng.standard_normal(400)
-    fit = arx(Dataset(u=u, y=filtered([0, 1], [1, -0.7], u) + noise, Ts=0.1), na=1, nb=1)
+    fit = arx(Dataset(u=u, y=apply_filter([0, 1], [1, -0.7], u) + noise, Ts=0.1), na=1, nb=1)
 
     said = repr(residuals(fit, Dataset(u=np.ones(400), y=3.3 + noise, Ts=0.1)))
 
@@ -191,10 +191,10 @@ def test_the_residuals_of_a_joint_estimate_have_no_part_that_was_estimated() -> 
     """Rows with orders of their own and correlated noise are weighted together."""
     data = two_outputs(0)
     fit: Any = armrig.arx(data, na=[[2, 1], [0, 1]], nb=[[2, 1], [1, 2]])  # type: ignore[arg-type]
-    (part,) = prediction_errors(fit, data, own=True)
-    projected = projection([part], own=True)
+    (part,) = prediction_errors(fit, data, on_own_data=True)
+    projected = projection([part], with_parameters=True)
     B = np.concatenate([part.S, projected.T[0]], axis=2)
-    WB = part.weighted(B)
+    WB = part.weight(B)
 
     np.testing.assert_allclose(np.einsum("tir,tik->rk", B, WB), np.eye(projected.rank), atol=1e-9)
     # A part of the noise would be about 1. The initial state is the difference from 0.
@@ -262,9 +262,9 @@ def test_an_input_that_follows_an_output_shows_as_feedback() -> None:
     rng = np.random.default_rng(8)
     e = 0.5 * rng.standard_normal(SAMPLES)
     u = np.sign(rng.standard_normal((SAMPLES, 2)))
-    v = filtered([1.0], [1, -0.8], e)
+    v = apply_filter([1.0], [1, -0.8], e)
     u[:, 1] += np.append(0.0, v[:-1])  # u2 follows the noise of y
-    y = filtered([0, 1.0], [1, -0.5], u[:, 0]) + filtered([0, 0.5], [1, -0.5], u[:, 1]) + v
+    y = apply_filter([0, 1.0], [1, -0.5], u[:, 0]) + apply_filter([0, 0.5], [1, -0.5], u[:, 1]) + v
     data = Signals(u=u, y=y[:, None], Ts=0.1, inputs=["u1", "u2"], outputs=["y"])
     fit: Any = armrig.oe(data, nb=1, nf=1)
 
@@ -301,7 +301,7 @@ def test_sums_and_deviations_of_each_pair_are_those_of_its_signals() -> None:
 
     e, u = np.nan_to_num(found.e), data.u - data.u.mean(axis=0)
     (part,) = prediction_errors(fit, data)
-    WS = part.weighted(part.S)
+    WS = part.weight(part.S)
     for i, j, k in ((0, 1, 3), (1, 0, -4), (0, 0, 0), (1, 1, 5)):
         late, early = max(k, 0), max(-k, 0)
         x, z = e[late : SAMPLES - early, i], u[early : SAMPLES - late, j]
@@ -317,7 +317,7 @@ def test_given_weights_of_the_outputs_are_those_of_the_projection() -> None:
     """The estimator minimised the sum of w_i e_i²."""
     fit = replace(oe_of_two_outputs(0), output_weights=(2.0, 8.0))
 
-    (part,) = prediction_errors(fit, two_outputs(0), own=True)
+    (part,) = prediction_errors(fit, two_outputs(0), on_own_data=True)
 
     weights = np.einsum("tij,tik->tjk", part.G, part.G)
     np.testing.assert_allclose(weights, np.broadcast_to(np.diag([2.0, 8.0]), weights.shape))
@@ -328,8 +328,8 @@ def test_the_test_of_several_outputs_is_for_one_output_the_portmanteau_test(own:
     """With few samples, to the digits, on the estimation data and on others."""
     fitted, judged = data(1, 50), data(1 if own else 11, 50)
     fit = oe(fitted, nb=2, nf=2)
-    parts, J = prediction_errors(fit, judged, own=own), parameters_of(fit)
-    projected = projection(parts, own=own)
+    parts, J = prediction_errors(fit, judged, on_own_data=own), parameters_of(fit)
+    projected = projection(parts, with_parameters=own)
     of_theta = None if own else J @ fit.covariance_robust @ J.T
     Lambda = pairwise_covariance(np.vstack([part.e for part in parts]))
 
@@ -405,7 +405,9 @@ def test_a_model_of_an_older_file_is_tested_with_the_noise_of_its_residuals() ->
 def test_coloured_residuals_do_not_show_whether_dynamics_are_missing_if_u_is_slow() -> None:
     rng = np.random.default_rng(4)
     u, e = np.repeat(rng.choice([-1.0, 1.0], 8), 100), rng.standard_normal(800)
-    seen = Dataset(u=u, y=filtered([0, 1], [1, -0.5], u) + filtered([1], [1, -0.99], e), Ts=0.1)
+    seen = Dataset(
+        u=u, y=apply_filter([0, 1], [1, -0.5], u) + apply_filter([1], [1, -0.99], e), Ts=0.1
+    )
 
     tested = residuals(oe(seen, nb=1, nf=1), seen)
 

@@ -14,10 +14,10 @@ from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.criteria import batch_means
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import model_search
-from armrig.validation.model_search import _ranked
-from armrig.validation.recommended_structures import Fitted, Recommended, busiest
+from armrig.validation.model_search import _rank_candidates
+from armrig.validation.recommended_structures import OutputErrorFit, Recommended, busiest
 from armrig.validation.search_result import Candidate, Scored, SearchResult, free_parameters
-from armrig.validation.structure_hints import _agreed, _extremes
+from armrig.validation.structure_hints import _confirm_slope, _extremes
 
 from tests.clients.models.made_fits import made
 
@@ -105,7 +105,7 @@ def test_models_are_ranked_at_the_samples_that_all_of_them_predict(outputs: int)
     pairs = zip((3, 4, 1), shaped, strict=True)
     candidates = [replace(scored("oe", n), error=e, ahead=e) for n, e in pairs]
 
-    ranked, columns, _ = _ranked(candidates, validation)
+    ranked, columns, _ = _rank_candidates(candidates, validation)
     rms, excess_, excess_std, _ = columns.values()
 
     both = np.isfinite(errors).all(axis=0)
@@ -136,7 +136,7 @@ def test_of_equally_good_simulations_the_best_predictor_is_chosen(rate: float, c
     errors = {3: (first, e), 1: (second, rate * e)}
     candidates = [replace(scored("oe", n), error=x, ahead=a) for n, (x, a) in errors.items()]
 
-    ranked, columns, index = _ranked(candidates, judged)
+    ranked, columns, index = _rank_candidates(candidates, judged)
 
     assert index == chosen
     found = result(ranked=tuple(ranked), chosen_index=index, **columns)
@@ -158,7 +158,7 @@ def test_a_simpler_model_is_chosen_only_if_its_error_is_hardly_larger(
     errors = {3: np.full(600, 0.1), 1: rare}
     candidates = [replace(scored("oe", n), error=e, ahead=np.ones(600)) for n, e in errors.items()]
 
-    _, columns, found = _ranked(candidates, Dataset(u=y, y=y, Ts=1.0))
+    _, columns, found = _rank_candidates(candidates, Dataset(u=y, y=y, Ts=1.0))
 
     assert columns["excess"][1] < columns["excess_std"][1]
     assert found == chosen
@@ -169,24 +169,24 @@ def test_models_without_a_sample_in_common_are_not_compared() -> None:
     candidates = [replace(scored("arx", 1), error=np.array(e), ahead=np.ones(2)) for e in errors]
 
     with pytest.raises(ValueError, match="no validation sample is predicted by all models"):
-        _ranked(candidates, Dataset(u=[0.0, 0.0], y=[1.0, 1.0], Ts=1.0))
+        _rank_candidates(candidates, Dataset(u=[0.0, 0.0], y=[1.0, 1.0], Ts=1.0))
 
 
-def fitted(B: Any, F: Any, *, integrator: bool = False) -> Fitted:
+def fitted(B: Any, F: Any, *, integrator: bool = False) -> OutputErrorFit:
     """Return a model of nk = 0; F is without the integrator."""
     problem: Any = SimpleNamespace(solve=lambda _: SimpleNamespace(ab=np.array(B)))
     s = Recommended(nb=1, nf=1, nk=0, integrator=integrator)
-    return Fitted(structure=s, problem=problem, f=np.array(F[1:]), cost=1.0, past=0, N=1)
+    return OutputErrorFit(structure=s, problem=problem, f=np.array(F[1:]), cost=1.0, past=0, N=1)
 
 
 def test_a_slope_is_reported_if_the_model_has_it_to_3_db_a_decade() -> None:
     """An integrator of Ts 0.01 s: -20 dB a decade at 1 to 3 rad/s."""
     best, omega = fitted([0, 0.01], [1.0], integrator=True), np.array([1.0, 2.0, 3.0])
 
-    assert _agreed(-17.1, best, omega, 0.01) == -17.1
-    assert _agreed(-22.9, best, omega, 0.01) == -22.9
-    assert _agreed(-16.9, best, omega, 0.01) is None
-    assert _agreed(-23.1, best, omega, 0.01) is None
+    assert _confirm_slope(-17.1, best, omega, 0.01) == -17.1
+    assert _confirm_slope(-22.9, best, omega, 0.01) == -22.9
+    assert _confirm_slope(-16.9, best, omega, 0.01) is None
+    assert _confirm_slope(-23.1, best, omega, 0.01) is None
     np.testing.assert_allclose(np.abs(best.G(omega, 0.01)), 1 / omega, rtol=1e-3)
 
 

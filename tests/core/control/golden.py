@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from armrig_core.control.evaluation import Latch, LawState, Program, begin, decide, observe
-from armrig_core.control.monitor import MonitorProgram, alarm, lost
+from armrig_core.control.monitor import MonitorProgram, alarm, find_lost_output
 from msgspec.structs import asdict
 
 VECTORS = Path(__file__).with_name("vectors.json")
@@ -58,7 +58,7 @@ def alarm_of(law: Program, state: LawState) -> list[Any] | None:
 
 def lost_of(law: Program, state: LawState) -> str:
     """Return the output that has had no valid value for too long."""
-    return lost(law.monitor, state.monitor) if law.monitor and state.monitor else ""
+    return find_lost_output(law.monitor, state.monitor) if law.monitor and state.monitor else ""
 
 
 def monitor_of(law: Program, state: LawState) -> dict[str, Any]:

@@ -17,11 +17,11 @@ from armrig_core.control.control_law import (
     load_law,
 )
 from armrig_core.errors import FileError, InputError
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 
 from tests.core.control.laws import arm_law, arm_monitor
 
-ARM = shipped("arm")
+ARM = builtin("arm")
 REFERENCE = {"name": "velocity", "unit": "rad/s"}
 ALPHA = LawOutput(name="alpha", unit="rad")
 BAD_LAWS: dict[str, tuple[dict[str, Any], str]] = {
@@ -239,7 +239,7 @@ BAD_RIGS: dict[str, tuple[dict[str, Any], Description, dict[str, float], str]] =
         "Ts = 0.01 s, and the run 0.010001 s: run with the law's Ts",
     ),
     "input": ({"input": "Q1"}, ARM, {}, "the law drives Q1, and the rig's input is u: design the"),
-    "output": ({}, shipped("chassis"), {}, "the law uses alpha, and the rig has theta_1: design "),
+    "output": ({}, builtin("chassis"), {}, "the law uses alpha, and the rig has theta_1: design "),
     "unit": (
         {
             "outputs": (
@@ -280,7 +280,7 @@ def test_a_law_within_the_limits_of_its_rig_is_accepted() -> None:
 
 
 def _q1() -> Description:
-    return shipped("tclab")
+    return builtin("tclab")
 
 
 def _heater_law(**changes: Any) -> ControlLaw:

@@ -14,13 +14,13 @@ from armrig_core.commands.rehearsal import rehearse_outputs
 from armrig_core.control.control_law import ControlLaw, LawOutput, Reference, Tracking
 from armrig_core.control.evaluation import Latch
 from armrig_core.errors import InputError
-from armrig_core.rig.description import Description, read_description, require_model, shipped
+from armrig_core.rig.description import Description, builtin, read_description, require_model
 from armrig_core.rig.firmware_image import WITH_ENABLE_LINE
 from msgspec.structs import replace
 
 from tests.core.control.laws import RAD_S_PER_V, arm_law, arm_monitor
 
-ARM = shipped("arm")
+ARM = builtin("arm")
 STEP = np.where(np.arange(600) < 300, 2.0, 4.0)
 
 
@@ -192,7 +192,7 @@ def _heater_law(
     """Return a PI law of T1 at Ts 1 s, with a state for the integral and one for the newest y."""
     fields = {
         "Ts_us": 1_000_000,
-        "input": shipped(rig).input.name,
+        "input": builtin(rig).input.name,
         "outputs": (LawOutput(name="T1", unit="degC", y0=23.0),),
         "reference": Reference(name="T1 above 23 degC", unit="degC", low=0.0, high=60.0),
         "A": ((1.0, 0.0), (0.0, 0.0)),
@@ -207,7 +207,7 @@ def _heater_law(
 
 
 def test_a_heater_with_a_dead_time_settles_at_its_reference() -> None:
-    low, high = _range(rehearse_control(_heater_law(), np.full(3000, 5.0), shipped("heater")))
+    low, high = _range(rehearse_control(_heater_law(), np.full(3000, 5.0), builtin("heater")))
 
     assert 27.5 <= high <= 30
     assert low == 23.0
@@ -220,24 +220,24 @@ def _range(rehearsal: Any, name: str = "T1") -> tuple[float, float]:
 
 def test_the_dead_time_of_a_model_counts_for_the_stability() -> None:
     """15 s of dead time: the gain margin of the PI is between 4 and 8."""
-    rehearse_control(_heater_law(k_p=0.4), np.full(50, 5.0), shipped("heater"))
+    rehearse_control(_heater_law(k_p=0.4), np.full(50, 5.0), builtin("heater"))
 
     with pytest.raises(InputError, match=r"an oscillation of 0\.\d+ rad/s grows by"):
-        rehearse_control(_heater_law(k_p=12.8), np.full(50, 5.0), shipped("heater"))
+        rehearse_control(_heater_law(k_p=12.8), np.full(50, 5.0), builtin("heater"))
 
 
 def test_the_dead_time_in_a_law_has_no_states() -> None:
     """A Smith predictor: the model without its dead time in the law, and the delay of the input."""
     plain = control_rehearsal._loop(
-        _heater_law().program(shipped("heater")),
-        control_rehearsal.rig_model(shipped("heater"), None),
+        _heater_law().program(builtin("heater")),
+        control_rehearsal.rig_model(builtin("heater"), None),
         1.0,
     )
     delayed = control_rehearsal._loop(
         _heater_law(input_delay=20, B=((0.0, 0.5, 0.0), (0.0, 0.0, 1.0))).program(
-            shipped("heater")
+            builtin("heater")
         ),
-        control_rehearsal.rig_model(shipped("heater"), None),
+        control_rehearsal.rig_model(builtin("heater"), None),
         1.0,
     )
 
@@ -247,9 +247,9 @@ def test_the_dead_time_in_a_law_has_no_states() -> None:
 
 
 def test_the_output_of_a_heater_leaves_its_limit() -> None:
-    outputs = {**shipped("heater").outputs}
+    outputs = {**builtin("heater").outputs}
     outputs["T1"] = replace(outputs["T1"], high=29.0, rail_is_outside=True)
-    rig = _with_outputs(shipped("heater"), outputs)
+    rig = _with_outputs(builtin("heater"), outputs)
 
     sentence = r"takes T1 from 23 to 3\d.* degC: T1.high = 29 is reached at r\[\d+\], \d+ s; change"
     with pytest.raises(InputError, match=sentence):
@@ -284,7 +284,7 @@ def test_the_law_ends_a_rehearsal_as_it_would_end_a_run(
     law = _heater_law(k_p=1.0, **{"k_i": 0.05, **changes})
 
     with pytest.raises(InputError, match="the rehearsal " + sentence):
-        _without_stability(law, shipped("heater"))
+        _without_stability(law, builtin("heater"))
 
 
 def _without_stability(law: ControlLaw, rig: Description) -> Any:
@@ -296,21 +296,21 @@ def _without_stability(law: ControlLaw, rig: Description) -> Any:
 def test_an_unstable_loop_may_be_ended_by_its_law() -> None:
     """Its rehearsal then ends there; a state that is not finite is a fault."""
     law = _heater_law(most_limited=5)
-    found = rehearse_control(law, np.full(5000, 60.0), shipped("heater"), unstable=True)
+    found = rehearse_control(law, np.full(5000, 60.0), builtin("heater"), unstable=True)
 
     assert _range(found)[1] < 24.0
     at_once = _heater_law(most_limited=1)
-    assert _range(rehearse_control(at_once, [60.0], shipped("heater"), unstable=True))[1] == 23.0
+    assert _range(rehearse_control(at_once, [60.0], builtin("heater"), unstable=True))[1] == 23.0
     wild = _heater_law(A=((1e200, 0.0), (0.0, 0.0)), x0=(1e-3, 0.0))
     with pytest.raises(InputError, match="the law's states are not finite"):
-        rehearse_control(wild, np.full(5, 5.0), shipped("heater"), unstable=True)
+        rehearse_control(wild, np.full(5, 5.0), builtin("heater"), unstable=True)
 
 
 def test_a_blind_law_ends_a_rehearsal() -> None:
     """A thermometer that reads an end of its range gives no valid output."""
-    outputs = {**shipped("heater").outputs}
+    outputs = {**builtin("heater").outputs}
     outputs["T1"] = replace(outputs["T1"], zero_counts=-6000.0, high=np.inf, blind_s=None)
-    rig = _with_outputs(shipped("heater"), outputs)
+    rig = _with_outputs(builtin("heater"), outputs)
 
     with pytest.raises(InputError, match="the law has no valid output in 20 samples in a row"):
         rehearse_control(_heater_law(), np.full(50, 5.0), rig)
@@ -322,24 +322,24 @@ def test_an_integrator_in_the_loop_that_nothing_moves_is_unstable() -> None:
         A=((1.0, 0.0), (0.0, 0.0)), B=((0.0, 0.1, 0.0), (0.0, 0.0, 1.0)), C=(0.5, 0.0)
     )
     with pytest.raises(InputError, match=r"unstable: a deviation grows by 5.00% in each sample"):
-        rehearse_control(law, np.full(5, 5.0), shipped("heater"))
+        rehearse_control(law, np.full(5, 5.0), builtin("heater"))
     free = _heater_law(B=((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
-    rehearse_control(free, np.full(5, 5.0), shipped("heater"))
+    rehearse_control(free, np.full(5, 5.0), builtin("heater"))
     held = _heater_law(C=(0.0, -0.1), B=((0.0, 0.0, 0.1), (0.0, 0.0, 1.0)))
-    rehearse_control(held, np.full(5, 5.0), shipped("heater"))
+    rehearse_control(held, np.full(5, 5.0), builtin("heater"))
     marginal = _heater_law(
         A=((0.5, 0.0), (0.0, 0.0)), B=((0.0, 0.5, 0.0), (0.0, 0.0, 1.0)), C=(1.0, 0.0)
     )
     with pytest.raises(InputError, match="unstable: a deviation stays; design the law with less"):
-        rehearse_control(marginal, np.full(5, 5.0), shipped("heater"))
-    _, (A, B, C, *_) = require_model(shipped("heater"))
+        rehearse_control(marginal, np.full(5, 5.0), builtin("heater"))
+    _, (A, B, C, *_) = require_model(builtin("heater"))
     gain = float((np.array(C) @ np.linalg.solve(-np.array(A), np.array(B)))[0, 0])
     positive = _heater_law(A=((0.0,),), B=((0.0, 0.0, 1.0),), C=(1 / gain,), x0=(0.0,), F=None)
     with pytest.raises(InputError, match="unstable: a deviation stays; design the law with less"):
-        rehearse_control(positive, np.full(5, 5.0), shipped("heater"))
+        rehearse_control(positive, np.full(5, 5.0), builtin("heater"))
     growing = _heater_law(A=((1.01, 0.0), (0.0, 0.0)), C=(0.0, -0.1))
     with pytest.raises(InputError, match=r"unstable: a deviation grows by 1.00% in each sample"):
-        rehearse_control(growing, np.full(5, 5.0), shipped("heater"))
+        rehearse_control(growing, np.full(5, 5.0), builtin("heater"))
 
 
 TANK = """
@@ -480,4 +480,4 @@ def test_a_law_of_an_output_without_a_model_is_refused() -> None:
 def test_a_dead_time_of_too_many_samples_is_refused() -> None:
     law = _heater_law(Ts_us=5_000)
     with pytest.raises(InputError, match=r"15 s is 3000 samples, and the stability .* longer Ts"):
-        rehearse_control(law, np.full(50, 5.0), shipped("heater"))
+        rehearse_control(law, np.full(50, 5.0), builtin("heater"))

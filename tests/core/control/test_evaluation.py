@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from armrig_core.control.evaluation import Latch, LawState, Program, begin, decide, observe
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 
 from tests.core.control import write_vectors
 from tests.core.control.golden import VECTORS, cases, differences
@@ -146,7 +146,7 @@ def test_a_tick_without_its_sample_is_not_committed() -> None:
 
 
 def test_a_program_has_codes_for_voltages_and_channels_for_names() -> None:
-    law = arm_law(lo=1.0, hi=4.0, slew=0.5).program(shipped("arm"))
+    law = arm_law(lo=1.0, hi=4.0, slew=0.5).program(builtin("arm"))
 
     assert (law.lo_code, law.hi_code, law.slew) == (13107, 52428, 6553)
     assert (law.channels, law.turning, len(law.rows[0])) == ((0, 1), (True, False), 9)

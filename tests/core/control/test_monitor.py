@@ -15,11 +15,11 @@ from armrig_core.control.monitor import (
     MonitorState,
     advance,
     alarm,
-    expected,
-    lost,
+    find_lost_output,
+    predict_outputs,
 )
 from armrig_core.control.monitor import begin as begin_monitor
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from armrig_core.rig.volts import volts_of
 from msgspec.structs import replace
 
@@ -215,7 +215,7 @@ def test_an_output_is_lost_although_the_other_is_valid() -> None:
     names = []
     for valid in [(True, True), *[(True, False)] * 3, (True, True), (False, True)]:
         state = advance(monitor, state, (0.0, 0.0), valid, 0.0)
-        names.append(lost(monitor, state))
+        names.append(find_lost_output(monitor, state))
 
     assert names == ["", "", "", "z", "", ""]
 
@@ -229,7 +229,7 @@ def test_a_turning_output_is_lost_by_its_predicted_turn_and_not_by_time() -> Non
         found = []
         for _ in range(count):
             state = advance(monitor, state, (0.0,), (False,), volts)
-            found.append(lost(monitor, state))
+            found.append(find_lost_output(monitor, state))
         return found
 
     assert names(0.0, 50) == [""] * 50
@@ -238,7 +238,7 @@ def test_a_turning_output_is_lost_by_its_predicted_turn_and_not_by_time() -> Non
 
 def test_the_bound_of_a_turn_is_the_dead_band_and_a_margin() -> None:
     """The arm's potentiometer has 352 degrees."""
-    program = arm_law(monitor=arm_monitor()).program(shipped("arm"))
+    program = arm_law(monitor=arm_monitor()).program(builtin("arm"))
 
     assert program.monitor is not None
     turn, none = program.monitor.most_turned
@@ -250,8 +250,8 @@ def test_the_monitor_predicts_the_outputs_from_their_zeros() -> None:
     state, _ = _watched(_monitor(a=1.0, b=0.5, gain=1.0), [40.0, 41.0], u_v=2.0)
 
     assert state.zeros == (40.0,)
-    assert expected(_monitor(), state) == (42.0,)
-    assert expected(_monitor(), begin_monitor(_monitor())) == (0.0,)
+    assert predict_outputs(_monitor(), state) == (42.0,)
+    assert predict_outputs(_monitor(), begin_monitor(_monitor())) == (0.0,)
 
 
 # -- the law and its monitor ---------------------------------------------------------------------
@@ -392,11 +392,11 @@ def test_samples_that_have_not_arrived_count_by_no_gate() -> None:
 def test_a_program_has_the_monitor_of_its_file() -> None:
     law = arm_law(monitor=arm_monitor(prelude=50, input_delay=3, forward=(0.5, 0.1)))
 
-    monitor = law.program(shipped("arm")).monitor
+    monitor = law.program(builtin("arm")).monitor
 
     assert monitor is not None
     assert monitor.outputs == ("theta_1", "alpha")
     assert (monitor.prelude, monitor.input_delay, monitor.forward) == (50, 3, (0.5, 0.1))
     assert monitor.rows[0] == (*law.monitor.A[0], law.monitor.B[0], *law.monitor.L[0])
-    assert arm_law().program(shipped("arm")).monitor is None
-    assert begin(arm_law().program(shipped("arm"))).monitor is None
+    assert arm_law().program(builtin("arm")).monitor is None
+    assert begin(arm_law().program(builtin("arm"))).monitor is None

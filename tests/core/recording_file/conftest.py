@@ -25,7 +25,7 @@ def instead(monkeypatch: pytest.MonkeyPatch) -> Setter:
     def replace(**calls: object) -> None:
         for name, call in calls.items():
             where = "os." if name in ("fsync", "fdatasync", "lstat") else ""
-            where += "Part." if name in ("flush", "sync", "_write_pending") else ""
+            where += "RecordingPart." if name in ("flush", "sync", "_write_pending") else ""
             monkeypatch.setattr(f"armrig_core.recording_file.recording_part.{where}{name}", call)
 
     return replace

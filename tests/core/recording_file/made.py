@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from armrig_core.commands.codes import COMPLETE, Ending
-from armrig_core.recording_file.recorder import Recording
+from armrig_core.recording_file.recorder import ActiveRecording
 from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
 from msgspec.structs import replace
 
@@ -37,11 +37,11 @@ def begun(
     files: Mapping[str, bytes] = {"input.csv": b"u_v\n1.0\n"},
     t_first_ns: int = 5,
     **about: Any,
-) -> Recording:
+) -> ActiveRecording:
     """Begin a recording; `about` replaces fields of `MANIFEST`."""
     event = changed or threading.Event()
     filled = replace(MANIFEST, **about)
-    return Recording.create(
+    return ActiveRecording.create(
         path,
         filled,
         dict(files),
@@ -51,7 +51,7 @@ def begun(
     )
 
 
-def finished(recording: Recording, ending: Ending = COMPLETE) -> Recording:
+def finished(recording: ActiveRecording, ending: Ending = COMPLETE) -> ActiveRecording:
     """End a recording; return it once its file is complete or given up."""
     recording.finish(ending)
     recording.join(WITHIN_S)

@@ -12,7 +12,7 @@ from armrig_core.recording_file import budget
 from armrig_core.recording_file.budget import Budget, DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.chunks import Unpacker
-from armrig_core.recording_file.file_records import MAGIC, Wanted, file_records
+from armrig_core.recording_file.file_records import MAGIC, RecordSelection, file_records
 from mcap.opcode import Opcode
 
 
@@ -48,7 +48,7 @@ FOOTER = struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0) + MAGIC
 END = struct.pack("<BQI", Opcode.DATA_END, 4, 0)
 
 
-def records_of(data: bytes, wanted: Wanted) -> list[tuple[int, bytes]]:
+def records_of(data: bytes, wanted: RecordSelection) -> list[tuple[int, bytes]]:
     """Return opcode and content of each record."""
     found = file_records(ByteSource(BytesIO(data), len(data)), wanted, lambda _: None)
     return [(record.opcode, record.body) for record in found]
@@ -56,9 +56,9 @@ def records_of(data: bytes, wanted: Wanted) -> list[tuple[int, bytes]]:
 
 def test_a_footer_within_the_data_is_reported_as_damage() -> None:
     """Data that follow it would be lost without a word."""
-    assert records_of(END + FOOTER, Wanted()) == []
+    assert records_of(END + FOOTER, RecordSelection()) == []
     with pytest.raises(DamageError, match="the data section contains a record of opcode 2"):
-        records_of(FOOTER, Wanted())
+        records_of(FOOTER, RecordSelection())
 
 
 @pytest.mark.parametrize("longer", [0, 1])
@@ -72,7 +72,7 @@ def test_the_records_after_an_overlong_attachment_are_read(longer: int) -> None:
         )
     )
 
-    found = records_of(long + short + END + FOOTER, Wanted(attachment=limit))
+    found = records_of(long + short + END + FOOTER, RecordSelection(attachment=limit))
 
     opcodes = [opcode for opcode, _ in found]
     assert opcodes == [Opcode.ATTACHMENT, Opcode.METADATA][longer:]

@@ -16,7 +16,7 @@ import pytest
 from armrig.recordings.files.verification import verify
 from armrig_core.commands.codes import Ending, OutcomeCode
 from armrig_core.recording_file import recording_part
-from armrig_core.recording_file.recorder import Recording
+from armrig_core.recording_file.recorder import ActiveRecording
 from armrig_core.recording_file.recovery import Recovery
 from armrig_core.telemetry.telemetry import Outgoing
 
@@ -37,11 +37,11 @@ def _samples(first: int, end: int) -> list[Outgoing]:
     return batch
 
 
-def _begun(path: Path, changed: threading.Event | None = None) -> Recording:
+def _begun(path: Path, changed: threading.Event | None = None) -> ActiveRecording:
     return begun(path, changed, files={}, samples=100_000, k_first=0)
 
 
-def _until_it_fails(recording: Recording, changed: threading.Event) -> None:
+def _until_it_fails(recording: ActiveRecording, changed: threading.Event) -> None:
     for k in range(0, 100_000, 500):
         recording.add(_samples(k, k + 500))
         if changed.wait(0.005):
@@ -133,7 +133,7 @@ def test_a_failing_disk_leaves_the_flushed_prefix_for_recovery(
     until(lambda: recording._flushed)
     fails = threading.Event()
 
-    def failing(self: recording_part.Part) -> None:
+    def failing(self: recording_part.RecordingPart) -> None:
         fails.set()
         self._file.write(b"torn")
         raise OSError(number, os.strerror(number))

@@ -13,7 +13,7 @@ from armrig_core.recording_file import recorder
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.manifest import OUTCOME, Outcome
 from armrig_core.recording_file.recorder import RecordingError
-from armrig_core.recording_file.recording_part import Part
+from armrig_core.recording_file.recording_part import RecordingPart
 from armrig_daemon.pipe import Gap
 from armrig_daemon.service.protobuf_out import outgoing
 from mcap.reader import make_reader
@@ -128,12 +128,12 @@ def test_a_slow_rewriting_loses_no_sample(
 ) -> None:
     asked, answers = threading.Event(), threading.Event()
 
-    def slow(part: Part) -> None:
+    def slow(part: RecordingPart) -> None:
         if part.is_named == is_named:
             asked.set()
             answers.wait(30)
 
-    monkeypatch.setattr(Part, "compact", slow)
+    monkeypatch.setattr(RecordingPart, "compact", slow)
     recording = begun(tmp_path / "run.mcap", part=40, k_first=0)
     recording.add([sample(k) for k in range(50)])
     recording.finish(COMPLETE)
@@ -162,9 +162,9 @@ def test_a_recording_that_cannot_be_created_leaves_no_file(tmp_path: Path) -> No
 def test_batches_beyond_the_queue_are_discarded_and_counted(
     tmp_path: Path, pace: Setter, instead: Setter
 ) -> None:
-    asked, answers, flush = threading.Event(), threading.Event(), Part.flush
+    asked, answers, flush = threading.Event(), threading.Event(), RecordingPart.flush
 
-    def answer(part: Part) -> None:
+    def answer(part: RecordingPart) -> None:
         asked.set()
         answers.wait()
         flush(part)
@@ -193,13 +193,13 @@ def test_a_sample_that_was_not_flushed_is_not_acknowledged(
 ) -> None:
     """A sync between two flushes does not reach it."""
     pace(SYNC_S=0.0, FLUSH_S=30.0)
-    flush, sync, seen = Part.flush, Part.sync, []
+    flush, sync, seen = RecordingPart.flush, RecordingPart.sync, []
 
-    def flushed(part: Part) -> None:
+    def flushed(part: RecordingPart) -> None:
         seen.append(("flush", part.samples, recording.synced))
         flush(part)
 
-    def synced(part: Part) -> None:
+    def synced(part: RecordingPart) -> None:
         seen.append(("sync", part.samples, recording.synced))
         sync(part)
 

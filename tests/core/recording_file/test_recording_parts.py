@@ -14,7 +14,7 @@ from armrig.recordings.files.verification import verify
 from armrig_core.commands.codes import GapCode, OutcomeCode
 from armrig_core.recording_file.manifest import CONFIG, INPUT
 from armrig_core.recording_file.part_names import part_paths
-from armrig_core.recording_file.recorder import Recording, RecordingError
+from armrig_core.recording_file.recorder import ActiveRecording, RecordingError
 from armrig_core.recording_file.recovery import Recovery
 from armrig_core.telemetry.telemetry import Outgoing
 from armrig_daemon.pipe import Gap
@@ -43,7 +43,7 @@ def _gap(first: int, count: int) -> Outgoing:
     return outgoing(record, 0)
 
 
-def _recorded(path: Path, batches: list[list[Outgoing]], part: int) -> Recording:
+def _recorded(path: Path, batches: list[list[Outgoing]], part: int) -> ActiveRecording:
     """Record batches one after the other, to the end of the run."""
     recording = _begun(path, part)
     for batch in batches:
@@ -52,7 +52,7 @@ def _recorded(path: Path, batches: list[list[Outgoing]], part: int) -> Recording
     return recording
 
 
-def _begun(path: Path, part: int) -> Recording:
+def _begun(path: Path, part: int) -> ActiveRecording:
     return begun(path, None, part, files=ATTACHED, t_first_ns=FIRST * 10_000_000, k_first=FIRST)
 
 

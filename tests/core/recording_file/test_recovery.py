@@ -292,8 +292,8 @@ def test_the_file_of_another_rig_is_left_to_its_daemon(tmp_path: Path) -> None:
     data = recorded([sample(0)], manifest=manifest(rig="1-b"), outcome=None)
     left = written(tmp_path, data, "1-b-test-20261120T040000-0000abcd.mcap.active")
     for rig in ("1", "1-b", ""):
-        assert unfinished.unfinished(tmp_path, rig) == [left]
-    assert unfinished.unfinished(tmp_path, "2") == []
+        assert unfinished.unfinished_files(tmp_path, rig) == [left]
+    assert unfinished.unfinished_files(tmp_path, "2") == []
     of_rig_1 = Recovery(armrig="0", now=lambda: "", rig="1")
 
     assert isinstance(_untouched(left, data, "to rig 1-b, not to rig 1", of_rig_1), NotOursError)
@@ -412,8 +412,8 @@ def test_only_a_file_named_as_an_unfinished_recording_is_recovered(tmp_path: Pat
     _untouched(whole, DATA[:-500], r"ends in \.mcap\.active")
     with pytest.raises(NotOursError, match="there is no such file"):
         RECOVERY.recover(tmp_path / LEFT)
-    assert unfinished.unfinished(tmp_path) == []
-    assert unfinished.unfinished(tmp_path / "nowhere") == []
+    assert unfinished.unfinished_files(tmp_path) == []
+    assert unfinished.unfinished_files(tmp_path / "nowhere") == []
 
 
 def test_the_files_of_a_rig_are_those_with_its_id_and_a_dash(tmp_path: Path) -> None:
@@ -424,7 +424,7 @@ def test_the_files_of_a_rig_are_those_with_its_id_and_a_dash(tmp_path: Path) -> 
     for name in names:
         (tmp_path / name).write_bytes(b"a")
 
-    found = unfinished.unfinished(tmp_path, "1")
+    found = unfinished.unfinished_files(tmp_path, "1")
     removed = unfinished.remove_copies(tmp_path, "1", os.geteuid())
 
     assert [path.name for path in found] == ["1-test.mcap.active"]

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from armrig_daemon.conformance.host import BOOT_MS, Broken, EndlessError, Host
+from armrig_daemon.conformance.host import BOOT_MS, Broken, EndlessError, LineHost
 from armrig_daemon.conformance.line import VirtualLine
 from armrig_daemon.conformance.rule import Result, Rule
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS, RULES, leave, pin_rules, run
@@ -40,7 +40,7 @@ def tried(
     """Return what becomes of the rules; the device is left at 0 V."""
     device = Device(settings, 0)
     told: list[Result] = []
-    results = run(Host(VirtualLine(device, resets=resets), settings.baud), told.append, wanted)
+    results = run(LineHost(VirtualLine(device, resets=resets), settings.baud), told.append, wanted)
     assert device.state is not State.RUN
     assert device.board.volts == 0.0
     assert results == told
@@ -115,7 +115,7 @@ def test_each_rule_sends_the_stored_frames() -> None:
         head = f"{result.section} {result.sentence[:60]}: {result.outcome}"
         lines.append(f"{head}: {counted}; {len(sent)} B, {_sum(sent)}")
 
-    run(Host(line, 250_000), note)
+    run(LineHost(line, 250_000), note)
 
     compare("all rules", lines)
 
@@ -160,7 +160,7 @@ def test_a_device_is_left_neither_armed_nor_in_run(
 ) -> None:
     settings = EmulatorSettings(boot_ms=5.0)
     device = Device(settings, 0)
-    host = Host(VirtualLine(device), settings.baud)
+    host = LineHost(VirtualLine(device), settings.baud)
     host.hello(BOOT_MS)
     host.reach(state)
     if deaf:
@@ -205,7 +205,7 @@ def test_a_device_that_floods_the_line_breaks_the_rule_that_is_tried(
     line = Flooded(piece, every_ms)
     at = next(n for n, rule in enumerate(RULES) if "At 1 kHz" in rule.sentence)
 
-    results = run(Host(line), lambda _: None, [RULES[0], *RULES[at : at + 2]])
+    results = run(LineHost(line), lambda _: None, [RULES[0], *RULES[at : at + 2]])
 
     assert [r.outcome for r in results] == [PASS, FAIL, NOT_TRIED]
     assert says in results[1].came
@@ -216,7 +216,7 @@ def test_a_device_that_floods_the_line_breaks_the_rule_that_is_tried(
 def test_violations_at_the_pins_are_counted_with_the_time_of_the_first() -> None:
     high, stopped = Violation.PIN_HIGH_WITHOUT_ENABLE, Violation.CPU_STOPPED
     seen = [Violated(n * 16_000, what) for n, what in ((20, high), (30, stopped), (45, high))]
-    host = Host(VirtualLine(Device(SPOILT_SETTINGS, 0)))
+    host = LineHost(VirtualLine(Device(SPOILT_SETTINGS, 0)))
 
     low, code, runs = run(host, lambda _: None, pin_rules(seen))
 
@@ -263,7 +263,7 @@ class Numbered:
     [([7, 8, 9], 0), ([65_534, 65_535, 0, 1], 0), ([7, 9, 10], 1), ([5, 0, 0, 7, 6], 4)],
 )
 def test_each_frame_out_of_sequence_is_a_violation(numbers: list[int], breaks: int) -> None:
-    conversation = Host(Numbered(numbers))
+    conversation = LineHost(Numbered(numbers))
 
     conversation.listen(5)
 
@@ -295,7 +295,7 @@ def test_each_frame_out_of_sequence_is_a_violation(numbers: list[int], breaks: i
     ids=str,
 )
 def test_an_implausible_device_is_recognised_by_its_hello(wrong: dict[str, int], says: str) -> None:
-    host = Host(VirtualLine(Device(EmulatorSettings(boot_ms=5.0), 0)))
+    host = LineHost(VirtualLine(Device(EmulatorSettings(boot_ms=5.0), 0)))
     host.facts = host.hello()._replace(**wrong)
 
     came = ""
@@ -312,7 +312,7 @@ def test_the_rest_of_a_frame_at_the_opening_of_the_port_is_not_spoilt() -> None:
     rest, whole = b"\x05abc\0", encode(Ack(State.IDLE, 9, 0, 0, 0))
     pieces = [rest + whole, rest, b"\x07a", rest + whole, rest + rest]
     line = SimpleNamespace(now_ns=lambda: 0, receive=lambda ms: pieces.pop(0), reopen=id)
-    conversation = Host(line)
+    conversation = LineHost(line)
     spoilt = []
 
     for opens in (False, False, False, True, False):
@@ -327,7 +327,7 @@ def test_the_rest_of_a_frame_at_the_opening_of_the_port_is_not_spoilt() -> None:
 
 def test_a_limit_counts_from_the_time_at_which_it_was_set() -> None:
     line = Numbered(range(1))
-    conversation = Host(line)
+    conversation = LineHost(line)
     conversation.listen(5)
     length = len(encode(Ack(State.IDLE, 0, 0, 0, 0)))
     conversation.limit(100, received=2 * length)

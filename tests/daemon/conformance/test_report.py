@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from armrig_daemon.conformance.rule import Result, shown
+from armrig_daemon.conformance.rule import Result, behaviour_text
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS, json_of, line_of, sum_of
 from armrig_protocol import messages as wire
 from armrig_protocol.messages import Cause, Code, State
@@ -75,7 +75,7 @@ def test_messages_are_shown_by_their_protocol_names() -> None:
         of(wire.Pong, state=State.ARMED): "PONG in ARMED",
         of(wire.Keepalive): "Keepalive",
     }
-    assert {message: shown(message) for message in said} == said
-    assert shown([*said][:2]) == "ACK(STALE), ACK(250)"
-    assert shown([]) == "nothing"
-    assert shown("as it is") == "as it is"
+    assert {message: behaviour_text(message) for message in said} == said
+    assert behaviour_text([*said][:2]) == "ACK(STALE), ACK(250)"
+    assert behaviour_text([]) == "nothing"
+    assert behaviour_text("as it is") == "as it is"

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 from armrig_daemon.config import Config
-from armrig_daemon.decisions.budget import exchange_us
+from armrig_daemon.decisions.budget import min_exchange_us
 from armrig_daemon.decisions.outcomes import NO_DEVICE
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
@@ -116,7 +116,7 @@ def test_the_host_paces_at_the_ts_of_the_holder_if_the_line_is_fast_enough(
 ) -> None:
     """The shortest such Ts is the duration of an exchange; below it, the default Ts paces."""
     rig = Bench()
-    ts_us = exchange_us(rig.loop.state.rules.baud, rig.loop.state.device.skew_us) + longer_us
+    ts_us = min_exchange_us(rig.loop.state.rules.baud, rig.loop.state.device.skew_us) + longer_us
 
     assert rig.arm(ts_us=ts_us).error == ""
 

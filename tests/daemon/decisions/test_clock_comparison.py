@@ -6,12 +6,12 @@ from math import isnan
 
 import pytest
 from armrig_core.rig.volts import volts_of
-from armrig_daemon.config import Config, Device
+from armrig_daemon.config import Config, DeviceTable
 from armrig_daemon.decisions import clock_comparison, clockmap
 from armrig_daemon.decisions.budget import PING_INTERVAL_US
 from armrig_daemon.decisions.clockmap import ClockMap
-from armrig_daemon.decisions.sampling import converted, extended
-from armrig_daemon.decisions.state import Sent, State
+from armrig_daemon.decisions.sampling import convert_sample, unwrap
+from armrig_daemon.decisions.state import DecisionState, Sent
 from armrig_protocol.frame import wire_length
 from armrig_protocol.messages import Exchange, Flag, Ping, Pong
 from armrig_protocol.messages import Sample as DeviceSample
@@ -28,7 +28,7 @@ def _on_the_wire_ns(kind: type) -> int:
     return int(wire_length(kind) * 10 * 1_000_000_000 // 500_000)
 
 
-def _fresh(**fields: object) -> State:
+def _fresh(**fields: object) -> DecisionState:
     """Return a state in which the clocks have not been compared, on a line of 500 kBd."""
     state = rested().loop.state
     assert state.rules.baud == 500_000
@@ -87,7 +87,7 @@ def test_the_request_of_an_oversampled_sample_precedes_all_its_conversions(
 
 
 def test_oversampling_does_not_shift_the_clocks_against_each_other() -> None:
-    bench = Bench(Config(device=Device(oversampling=8)))
+    bench = Bench(Config(device=DeviceTable(oversampling=8)))
 
     found = clockmap.estimate(bench.loop.state.clock.map)
 
@@ -120,7 +120,7 @@ def test_samples_compare_the_clocks_at_most_at_the_rate_of_pings(
     [(0, 0, 0), (0, 5, 5), (5, 5, 5), (WRAP - 1, 0, WRAP), (3 * WRAP + 9, 8, 4 * WRAP + 8)],
 )
 def test_a_32_bit_clock_continues_after_its_wraps(last: int, raw: int, is_: int) -> None:
-    assert extended(last, raw) == is_
+    assert unwrap(last, raw) == is_
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_a_sample_is_converted_to_the_units_of_the_telemetry(
     calibration = state.rules.calibration
     taken = device_sample(state, y0=20_000, y1=30_000, u_k=40_000, flags=int(flags))
 
-    sample = converted(state.rules, taken, 11, 22, 33, 44, 55_000)
+    sample = convert_sample(state.rules, taken, 11, 22, 33, 44, 55_000)
 
     assert (sample.k, sample.t_sched_ns, sample.t_host_ns, sample.t_device_us) == (11, 22, 33, 44)
     assert (sample.u_cmd_v, sample.u_applied_v) == (volts_of(55_000), volts_of(40_000))

@@ -11,7 +11,7 @@ from random import Random
 import pytest
 from armrig_daemon.decisions.clockmap import (
     ClockMap,
-    Link,
+    LinkTiming,
     estimate,
     host_ns_at,
     start,
@@ -21,7 +21,7 @@ from armrig_daemon.decisions.clockmap import (
 
 from tests.sampling import sampled
 
-LINK = Link(request_ns=180_000, answer_ns=260_000)  # 18 and 26 bytes at 1 Mbaud
+LINK = LinkTiming(request_ns=180_000, answer_ns=260_000)  # 18 and 26 bytes at 1 Mbaud
 BOOT_NS = 1_700_000_000_123_456  # 20 days of a monotonic clock
 QUEUES_US = [(20.0, 200.0), (200.0, 20.0), (100.0, 100.0), (1.0, 200.0)]
 Exchange = tuple[int, int, int, int]
@@ -44,7 +44,7 @@ class Rig:
     stall_ns: int = 0
     """Stall of one answer, or one request, in ten, in ns."""
     gap_s: float = 0.1
-    link: Link = LINK
+    link: LinkTiming = LINK
 
     def __post_init__(self) -> None:
         self.random = Random(self.seed)
@@ -133,11 +133,11 @@ def test_clock_map_of_few_exchanges_has_a_large_deviation(n: int) -> None:
 
 def test_clock_map_corrects_the_known_asymmetry_of_the_wire() -> None:
     """A longer answer on a slow wire leaves no offset: 18 and 26 bytes at 9600 baud."""
-    link = Link(request_ns=18_750_000, answer_ns=27_083_333)
+    link = LinkTiming(request_ns=18_750_000, answer_ns=27_083_333)
 
     rig = Rig(seed=1, wait_us=(1.0, 1.0), link=link)
     right, _ = error_ns(rig, follow(rig, 300))
-    wrong, _ = error_ns(rig, follow(rig, 300, start(Link())))
+    wrong, _ = error_ns(rig, follow(rig, 300, start(LinkTiming())))
 
     assert abs(right) < 1500
     assert wrong == pytest.approx((27_083_333 - 18_750_000) / 2, abs=1500)
@@ -145,7 +145,7 @@ def test_clock_map_corrects_the_known_asymmetry_of_the_wire() -> None:
 
 def test_clock_map_bounds_an_unknown_asymmetry() -> None:
     """A constant delay one way stays in the offset, at most half the least round trip."""
-    rig = Rig(seed=1, wait_us=(1.0, 1.0), link=Link(request_ns=180_000, answer_ns=1_260_000))
+    rig = Rig(seed=1, wait_us=(1.0, 1.0), link=LinkTiming(request_ns=180_000, answer_ns=1_260_000))
 
     clock = follow(rig, 300, start(LINK))
 
@@ -214,7 +214,7 @@ def test_clock_map_follows_a_slowly_changing_drift(
 def test_clock_map_adapts_to_a_longer_round_trip() -> None:
     rig = Rig(seed=11, drift_ppm=100)
     clock = follow(rig, 300)
-    rig.link = Link(request_ns=680_000, answer_ns=760_000)
+    rig.link = LinkTiming(request_ns=680_000, answer_ns=760_000)
 
     clock = follow(rig, 1800, clock)
 

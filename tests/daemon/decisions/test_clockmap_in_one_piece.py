@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from armrig_daemon.decisions import clockmap
-from armrig_daemon.decisions.clockmap import ClockMap, Link
+from armrig_daemon.decisions.clockmap import ClockMap, LinkTiming
 
-LINK = Link(request_ns=120_000, answer_ns=230_000, resolution_us=4, tau_ns=7_000_000_000)
+LINK = LinkTiming(request_ns=120_000, answer_ns=230_000, resolution_us=4, tau_ns=7_000_000_000)
 PRIOR = 1 / 9  # a drift of 3000 ppm, in (ns/µs)⁻²
 VARIANCE_OF_C = 1 / 12  # of one uniform in [-1/2, 1/2]
 EPOCH_NS, EPOCH_US = 10**15, 3 * 10**9  # large: nothing may cancel

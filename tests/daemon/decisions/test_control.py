@@ -11,7 +11,7 @@ import pytest
 from armrig_core.commands.codes import OutcomeCode
 from armrig_core.control.evaluation import Latch, Program, begin
 from armrig_core.control.monitor import MonitorProgram
-from armrig_core.rig.volts import applied_code, code_of, volts_of
+from armrig_core.rig.volts import code_of, device_code, volts_of
 from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon import pipe
 from armrig_daemon.config import Config, Limits
@@ -19,7 +19,7 @@ from armrig_daemon.decisions import control, trace
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions.faults import Id
 from armrig_daemon.decisions.outcomes import Halt
-from armrig_daemon.decisions.state import Control, Phase, RequestKind, Send, State, Tick
+from armrig_daemon.decisions.state import DecisionState, Phase, RequestKind, RunLaw, Send, Tick
 from armrig_daemon.pipe import Answer, Reset, RunEnded, Stop, Trace
 from armrig_protocol import messages as wire
 from armrig_protocol.decoder import feed
@@ -95,7 +95,7 @@ def test_each_code_is_computed_from_the_sample_before_it_or_its_prediction() -> 
         assert c.v == 0.0 + x + 0.3 * c.r + 1.5
         assert c.u_v == volts_of(code)
         y = samples[c.k].value_1 if c.k in samples else 0.1 * x
-        applied = volts_of(applied_code(code, 10))
+        applied = volts_of(device_code(code, 10))
         x = 0.0 + 0.5 * x + 0.2 * c.r + 0.1 * (applied - 1.5) + -0.4 * y
         assert c.k not in samples or samples[c.k].u_cmd_v == c.u_v
     assert sum(c.k not in samples for c in records) == sum(c.predicted for c in records) == 1
@@ -179,9 +179,9 @@ def test_the_reference_of_a_sample_on_its_way_does_not_change() -> None:
     assert law.changes == ((5, 80.0), (10, 90.0))
 
 
-def _control(law: Program, r: Iterable[float]) -> Control:
+def _control(law: Program, r: Iterable[float]) -> RunLaw:
     order = control_run(law, r)
-    return Control(law, Latch(), order.reference, begin(law), order.r_range)
+    return RunLaw(law, Latch(), order.reference, begin(law), order.r_range)
 
 
 def test_a_reference_before_the_first_sample_is_decided_again_from_the_trace() -> None:
@@ -214,7 +214,7 @@ def test_a_run_in_control_is_decided_again_from_its_trace() -> None:
 def _check_trace(bench: Bench, reference: list[float]) -> None:
     """Check that the trace and the attached reference give the same frames again."""
     chunks = bench.of(Trace)
-    state = trace.restored(chunks[0].state, pack(f"<{len(reference)}d", *reference))
+    state = trace.decode_state(chunks[0].state, pack(f"<{len(reference)}d", *reference))
     for step in (s for c in chunks for s in trace.steps_of(c.steps)):
         state, actions = core_step.step(state, step.now_ns, step.events)
         assert tuple(a.data for a in actions if isinstance(a, Send)) == step.sent
@@ -413,7 +413,7 @@ def test_the_prelude_is_sent_before_the_codes_of_the_law() -> None:
     for i, c in enumerate(records):
         assert c.v == (2.0 if i < 5 else x + 0.3 * 2.0 + 1.5)
         assert sent[c.k] == c.u_v
-        x = 0.5 * x + 0.2 * 2.0 + 0.1 * (volts_of(applied_code(code_of(c.u_v), 10)) - 1.5)
+        x = 0.5 * x + 0.2 * 2.0 + 0.1 * (volts_of(device_code(code_of(c.u_v), 10)) - 1.5)
     assert [c.is_slewed for c in records[:3]] == [True, False, False]
     assert len(records) == 12
     assert _outcome(bench) is OutcomeCode.COMPLETE
@@ -427,7 +427,7 @@ def test_a_monitored_run_is_decided_again_from_its_trace() -> None:
     bench.run_for(200 * TS_MS)
 
     chunks = bench.of(Trace)
-    state = trace.restored(chunks[0].state, pack(f"<{len(LONG)}d", *LONG))
+    state = trace.decode_state(chunks[0].state, pack(f"<{len(LONG)}d", *LONG))
     for step in (s for c in chunks for s in trace.steps_of(c.steps)):
         state, actions = core_step.step(state, step.now_ns, step.events)
         assert tuple(a.data for a in actions if isinstance(a, Send)) == step.sent
@@ -445,7 +445,7 @@ def test_a_code_outside_the_limits_trips_and_is_not_sent() -> None:
     assert [m.u for m in decided.sent if isinstance(m, wire.Exchange)] == [0]
 
 
-def _newest(bench: Bench, **fields: float) -> tuple[State, Sample]:
+def _newest(bench: Bench, **fields: float) -> tuple[DecisionState, Sample]:
     """Return a state before a sample of its run, and the sample."""
     state = bench.loop.state
     return state, bench.samples[-1]._replace(k=state.run.k_first + state.run.due - 1, **fields)

@@ -7,16 +7,16 @@ from itertools import pairwise
 import pytest
 from armrig_core.commands.codes import GapCode
 from armrig_core.telemetry.telemetry import Sample, decode_sample
-from armrig_daemon.config import Config, Timing
+from armrig_daemon.config import Config, TimingTable
 from armrig_daemon.decisions import step
 from armrig_daemon.decisions.state import (
+    DecisionState,
     LinkDown,
     LinkUp,
     Phase,
     Publish,
     Received,
     Send,
-    State,
     Tick,
 )
 from armrig_daemon.pipe import Gap, Reset, RunEnded
@@ -93,7 +93,7 @@ def test_a_gap_without_an_answer_begins_when_its_first_sample_was_due(
 
     A scheduled run is over then, and the host's ticks go on.
     """
-    bench = Bench(Config(timing=Timing(Ts=0.02)))
+    bench = Bench(Config(timing=TimingTable(Ts=0.02)))
     bench.play(RUN, 5_000, scheduled=scheduled)
     bench.run_for(600)
 
@@ -111,7 +111,7 @@ def test_a_gap_without_an_answer_begins_when_its_first_sample_was_due(
     assert_each_k_is_told_once(bench)
 
 
-def _take(state: State, now_ns: int, message: DeviceSample) -> list[Publish]:
+def _take(state: DecisionState, now_ns: int, message: DeviceSample) -> list[Publish]:
     _, actions = step.step(state, now_ns, [Received(b"\0" + encode(message))])
     return [a for a in actions if isinstance(a, Publish)]
 

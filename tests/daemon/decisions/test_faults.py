@@ -7,7 +7,7 @@ import re
 import pytest
 from armrig_core.rig.emulated import EMULATOR_UID
 from armrig_core.telemetry import protobuf
-from armrig_daemon.config import Config, Device
+from armrig_daemon.config import Config, DeviceTable
 from armrig_daemon.decisions.faults import (
     REMEDIES,
     REMEDIES_OF_EMULATED,
@@ -16,7 +16,7 @@ from armrig_daemon.decisions.faults import (
     of_device,
     remedy,
 )
-from armrig_daemon.decisions.outcomes import report_state, unanswered
+from armrig_daemon.decisions.outcomes import report_state, silence_cause
 from armrig_daemon.decisions.stopping import trip
 from armrig_daemon.pipe import Log, State
 from armrig_daemon.service.protobuf_out import outgoing
@@ -58,7 +58,7 @@ def test_the_remedy_for_an_emulated_rig_names_no_cable(fault: Id) -> None:
 def test_the_port_or_the_device_decides_whether_the_remedy_is_that_of_an_emulated_rig(
     port: str, uid: int, wanted: str, driven: Bench
 ) -> None:
-    rules = Config(device=Device(port=port)).rules()
+    rules = Config(device=DeviceTable(port=port)).rules()
     state = replace(driven.loop.state, rules=rules, device_uid=uid)
 
     tripped, actions = trip(state, 0, Fault(Id.STALE, "silent"))
@@ -67,7 +67,7 @@ def test_the_port_or_the_device_decides_whether_the_remedy_is_that_of_an_emulate
     assert any(wanted in str(action) for action in actions)
     assert wanted in str(report_state(gone, 0))
     is_real = wanted == REMEDIES[Id.STALE]
-    assert ("plugged in" in unanswered(replace(gone, link=None))) == is_real
+    assert ("plugged in" in silence_cause(replace(gone, link=None))) == is_real
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from armrig_core.rig.calibration import Calibration
 from armrig_daemon.decisions import step
 from armrig_daemon.decisions.state import (
-    Link,
+    LinkState,
     PendingRequest,
     Phase,
     RequestKind,
@@ -71,7 +71,7 @@ def test_the_answer_to_hello_restarts_the_frame_numbers_of_the_device() -> None:
 def test_a_driving_device_that_rejects_hello_is_stopped() -> None:
     """S2: old frames keep the device in RUN and make HELLO stale; STOP works with any seq."""
     asked = PendingRequest(RequestKind.HELLO, 0, 1, 1, 0, False, None)
-    before = changed(step.start(RULES), phase=Phase.FAULT, link=Link(seq=2), asked=asked)
+    before = changed(step.start(RULES), phase=Phase.FAULT, link=LinkState(seq=2), asked=asked)
     stale = Ack(DeviceState.RUN, 9, 1, Code.STALE, 1)
 
     after, actions = step.handle_message(before, 5_000_000, stale)

@@ -13,12 +13,12 @@ from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.outcomes import NO_DEVICE
 from armrig_daemon.decisions.state import (
     ActiveRun,
+    DecisionState,
     Event,
     Exit,
     Ordered,
     Phase,
     RequestKind,
-    State,
     Tick,
 )
 from armrig_daemon.pipe import Alive, Answer, Calibrate, Order, Quit, Reset, RunEnded
@@ -49,7 +49,7 @@ OTHER = Calibration(
 CALIBRATE = Calibrate(order=74, calibration=OTHER)
 
 
-def _refusal(bench: Bench, order: Order, state: State | None = None) -> str:
+def _refusal(bench: Bench, order: Order, state: DecisionState | None = None) -> str:
     """Return the reason of a refused order, which has no other effect."""
     decided = ordered(bench, order, state)
     (answer,) = decided.told(Answer)
@@ -246,7 +246,7 @@ def test_a_device_that_is_not_at_rest_gets_a_hello(state: DeviceState) -> None:
 # -- the reset -----------------------------------------------------------------------------------
 
 
-def _in_fault(bench: Bench, device_state: DeviceState = DeviceState.IDLE) -> State:
+def _in_fault(bench: Bench, device_state: DeviceState = DeviceState.IDLE) -> DecisionState:
     return changed(bench.loop.state, phase=Phase.FAULT, device_state=int(device_state))
 
 

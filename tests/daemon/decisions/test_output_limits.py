@@ -8,9 +8,9 @@ from typing import Any
 import msgspec
 import pytest
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from armrig_core.rig.volts import code_of
-from armrig_daemon.config import ArmSettings, Config, Device, Limits, Timing, load
+from armrig_daemon.config import ArmSettings, Config, DeviceTable, Limits, TimingTable, load
 from armrig_daemon.decisions.output_limits import blind, observe
 from armrig_daemon.decisions.state import OutputLimit, Phase, Rules
 from armrig_daemon.pipe import Log, Reset, Run, RunEnded, Set
@@ -41,7 +41,7 @@ Readings = list[int]
 
 def _bench(*, Ts: float = 0.01) -> Bench:
     """Return an armed rig whose readings are inside their limits."""
-    bench = Bench(Config(timing=Timing(Ts=Ts)), description=TWO)
+    bench = Bench(Config(timing=TimingTable(Ts=Ts)), description=TWO)
     _read(bench, 30_000, 30_000)
     bench.run_for(50)
     assert not bench.arm().error
@@ -208,7 +208,7 @@ def test_a_sampling_time_that_does_not_fit_the_blind_time_is_refused(tmp_path: A
 
 def test_the_rules_of_a_described_rig_reach_the_process_of_the_loop() -> None:
     """As JSON, which has neither infinite numbers nor NaN."""
-    for rig in (TWO, *map(shipped, ("arm", "chassis", "heater", "rc"))):
+    for rig in (TWO, *map(builtin, ("arm", "chassis", "heater", "rc"))):
         rules = Config().rules(rig)
 
         assert msgspec.json.decode(msgspec.json.encode(rules), type=Rules) == rules
@@ -219,12 +219,12 @@ def test_limits_of_the_configuration_are_limits_of_the_arms_channels() -> None:
     alpha = OutputLimit(1, "alpha", "rad", -0.8, 0.8, 2, 1000 * MS, blind_grows=True)
 
     assert (config.rules().limits, config.rules().turns) == ((alpha,), 250)
-    narrower = shipped("arm").text.replace(b"turning", b"turns = 1.5\nturning")
+    narrower = builtin("arm").text.replace(b"turning", b"turns = 1.5\nturning")
     narrower = narrower.replace(b'"arm"\n\n', b'"arm"\nhigh = 0.5\n\n')
     rules = config.rules(Description.of(narrower))
     assert (rules.turns, rules.limits) == (150, (replace(alpha, high=0.5),))
     alone = replace(config, arm=ArmSettings(removed=True)).rules()
-    for rules in (alone, config.rules(shipped("chassis"))):
+    for rules in (alone, config.rules(builtin("chassis"))):
         assert (rules.limits, rules.turns) == (UNSET, 250)
     for key in ("revolutions", "alpha_rad"):
         with pytest.raises(
@@ -251,8 +251,8 @@ def test_a_deflection_above_its_limit_stops_the_arm(way: str) -> None:
 
 def test_a_description_without_limits_gives_the_core_none() -> None:
     for name in ("arm", "chassis", "rc"):
-        assert Config().rules(shipped(name)).limits is UNSET
-    heater = Config().rules(shipped("heater")).limits
+        assert Config().rules(builtin(name)).limits is UNSET
+    heater = Config().rules(builtin("heater")).limits
     assert heater == (
         OutputLimit(0, "T1", "degC", None, 70.0, 2, 10_000 * MS),
         OutputLimit(1, "T2", "degC", None, 70.0, 2, 1000 * MS, blind_grows=True),
@@ -288,7 +288,7 @@ def test_each_end_of_a_range_is_what_the_description_says(
     readings: tuple[int, int], rail_ticks: int, cause: str
 ) -> None:
     """Only a limit's own end is outside, and a valid end never stops the motor."""
-    config = Config(device=Device(rail_ticks=rail_ticks), timing=Timing(Ts=0.01))
+    config = Config(device=DeviceTable(rail_ticks=rail_ticks), timing=TimingTable(Ts=0.01))
     bench = Bench(config, description=Description.of(FULL.encode()))
     _read(bench, 30_000, 30_000)
     bench.run_for(50)

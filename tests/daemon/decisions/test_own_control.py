@@ -7,7 +7,7 @@ from struct import pack
 import numpy as np
 import pytest
 from armrig_core.commands.codes import OutcomeCode, RefusalCode
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 from armrig_core.rig.volts import code_of, volts_of
 from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.config import Config, Limits
@@ -118,7 +118,7 @@ def test_of_two_voltages_before_a_sample_the_last_one_acts() -> None:
     assert rig.of(Control)[1].predicted == 0
 
 
-@pytest.mark.parametrize("description", [None, shipped("rc"), CENTRED])
+@pytest.mark.parametrize("description", [None, builtin("rc"), CENTRED])
 def test_a_silent_client_ends_the_run_at_rest_within_the_time_of_s2(
     description: Description | None,
 ) -> None:
@@ -205,7 +205,7 @@ def test_a_code_outside_the_limits_would_be_found_before_it_is_sent() -> None:
 def test_a_slow_run_of_a_silent_client_ends_without_a_fault() -> None:
     """Between the ticks, KEEPALIVE feeds the device's watchdog of 100 ms."""
     Ts_us = 500_000
-    rig = Bench(description=shipped("rc"))
+    rig = Bench(description=builtin("rc"))
     rig.arm(Ts_us)
     order = Run(order=1, lease=LEASE, n=0, run_id="r", codes=b"", reference=bytes(80))
     rig.order(order)
@@ -306,8 +306,8 @@ def test_a_run_is_restored_from_its_trace_without_the_lease() -> None:
     assert state.run is not None
     assert state.run.own
 
-    again = trace.restored(trace.written_state(state), state.run.own.reference)
+    again = trace.decode_state(trace.encode_state(state), state.run.own.reference)
 
     assert again.run == state.run
-    assert LEASE.encode() not in trace.written_state(state)
+    assert LEASE.encode() not in trace.encode_state(state)
     assert step(again, rig.ports.now, [])[1] == []

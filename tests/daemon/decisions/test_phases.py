@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from armrig_daemon.decisions.phases import TRANSITIONS, On, moved
+from armrig_daemon.decisions.phases import TRANSITIONS, On, change_phase
 from armrig_daemon.decisions.state import Phase
 from msgspec.structs import replace
 
@@ -44,4 +44,4 @@ def test_transition_outside_the_table_raises() -> None:
     latched = replace(rested().loop.state, phase=Phase.FAULT)
 
     with pytest.raises(KeyError):
-        moved(latched, On.ARMED)
+        change_phase(latched, On.ARMED)

@@ -6,7 +6,7 @@ import pytest
 from armrig_daemon.decisions import setpoints, step
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.outcomes import device_facts
-from armrig_daemon.decisions.state import Phase, RequestKind, RoundTrip, State, Wakeup
+from armrig_daemon.decisions.state import DecisionState, Phase, RequestKind, RoundTrip, Wakeup
 from armrig_daemon.pipe import Log
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol import messages as wire
@@ -27,7 +27,7 @@ from tests.daemon.decision_states import (
 from tests.daemon.virtual_bench import MS
 
 
-def _event(state: State, **fields: int) -> wire.Event:
+def _event(state: DecisionState, **fields: int) -> wire.Event:
     """Return an EVENT of the device that is met, into the state that it is in."""
     zero = wire.Event._make([0] * len(wire.Event._fields))
     known = {"state": state.link.device_state, "boot": state.device.boot_id & 0xFFFF}
@@ -37,7 +37,7 @@ def _event(state: State, **fields: int) -> wire.Event:
 # -- round trips ---------------------------------------------------------------------------------
 
 
-def _pong(state: State, **fields: int) -> wire.Pong:
+def _pong(state: DecisionState, **fields: int) -> wire.Pong:
     known = {"state": state.link.device_state, "seq": 0, "host_ns": state.link.ping_ns}
     return wire.Pong(**{**known, "rx_us": 100, "tx_us": 150, **fields})
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from armrig_core.commands.codes import GapCode
-from armrig_core.rig.volts import applied_code, code_of
+from armrig_core.rig.volts import code_of, device_code
 from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon import pipe
 from armrig_daemon.decisions import replies
@@ -12,13 +12,13 @@ from armrig_daemon.decisions.clockmap import ClockMap
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.state import (
     Action,
+    DecisionState,
     Emit,
     Phase,
     Publish,
     RequestKind,
     RoundTrip,
     Sent,
-    State,
     Unechoed,
 )
 from armrig_daemon.pipe import Answer, Gap, Log, RunEnded, RunStarted
@@ -40,7 +40,7 @@ RUN, UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)
 LATCHED = Fault(Id.LEASE, "ran out")
 
 
-def _asked(bench: Bench, ms: float = 21) -> State:
+def _asked(bench: Bench, ms: float = 21) -> DecisionState:
     """Return the state after two exchanges that nothing answered."""
     bench.ports.from_device = lambda data: b""
     bench.run_for(ms)
@@ -57,17 +57,17 @@ def _playing() -> Bench:
     return bench
 
 
-def _duty(state: State, code: int) -> int:
+def _duty(state: DecisionState, code: int) -> int:
     """Return the code after rounding to the device's duty."""
-    return applied_code(code, state.device.pwm_bits)
+    return device_code(code, state.device.pwm_bits)
 
 
-def _answer(bench: Bench, now: State, at: int = 0, **fields: int) -> Decided:
+def _answer(bench: Bench, now: DecisionState, at: int = 0, **fields: int) -> Decided:
     """Return what follows from the answer to an EXCHANGE."""
     return heard(bench, device_sample(now, k=now.link.sent[at].k)._replace(**fields), now)
 
 
-def _due(bench: Bench, now: State, ahead: int = 0, **fields: int) -> Decided:
+def _due(bench: Bench, now: DecisionState, ahead: int = 0, **fields: int) -> Decided:
     """Return what follows from the sample of the run that is due next, or one `ahead` of it."""
     u = _duty(now, now.run.code(0))
     known = {"k": now.run.due + ahead, "flags": RUN, "u_k": u, "u_km1": u, "echo": now.link.seq - 1}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from armrig_core.commands.codes import GapCode
-from armrig_core.rig.volts import applied_code, code_of, volts_of
+from armrig_core.rig.volts import code_of, device_code, volts_of
 from armrig_daemon import pipe
 from armrig_daemon.decisions import gaps, outcomes, setpoints, step
 from armrig_daemon.decisions.budget import PING_INTERVAL_US
@@ -12,6 +12,7 @@ from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import MAX_REMEMBERED_FRAMES, send
 from armrig_daemon.decisions.state import (
     ActiveRun,
+    DecisionState,
     Emit,
     Ordered,
     Phase,
@@ -20,7 +21,6 @@ from armrig_daemon.decisions.state import (
     Received,
     RequestKind,
     Send,
-    State,
     Tick,
     Unechoed,
 )
@@ -50,7 +50,7 @@ SMALL = code_of(1.0)
 
 def _state(
     samples: int = 1000, *, base: int = 0, held: int = 0, sent: int = 0, moved_ns: int = NOW
-) -> State:
+) -> DecisionState:
     """Return a state in which a run's queue is being filled."""
     state = armed().loop.state
     data = b"".join(u.to_bytes(2, "little") for u in CODES[:samples])
@@ -59,7 +59,7 @@ def _state(
     return changed(state, run=run, queue=queue, scheduled=True, beats=())
 
 
-def _running(due: int = 10, samples: int = 100, **fields: object) -> State:
+def _running(due: int = 10, samples: int = 100, **fields: object) -> DecisionState:
     """Return a state in which the device plays the run, from k 200 on."""
     state = _state(samples, base=due, held=samples, sent=samples)
     assert state.run is not None
@@ -322,7 +322,7 @@ def test_no_setpoint_is_sent_without_a_link() -> None:
 
 def test_a_sample_of_the_run_is_published_with_its_k() -> None:
     state = changed(_running(), t_us=(5 << 32) - 1)
-    u = applied_code(CODES[10], 10)
+    u = device_code(CODES[10], 10)
     sample = device_sample(
         state, k=10, u_k=u, u_km1=7, flags=int(Flag.RUN), queued=44, t_us=123, y0=5
     )
@@ -347,7 +347,7 @@ def test_sample_of_an_earlier_run_is_ignored(back_us: int, taken: bool) -> None:
     """S5: within one boot it has the number that is due, and an older stamp."""
     state = changed(_running(), t_us=(5 << 32) + 2_000)
     sample = device_sample(
-        state, k=10, u_k=applied_code(CODES[10], 10), flags=int(Flag.RUN), t_us=2_000 - back_us
+        state, k=10, u_k=device_code(CODES[10], 10), flags=int(Flag.RUN), t_us=2_000 - back_us
     )
     sample = sample._replace(t_us=sample.t_us & 0xFFFFFFFF)
 
@@ -360,7 +360,7 @@ def test_sample_of_an_earlier_run_is_ignored(back_us: int, taken: bool) -> None:
 @pytest.mark.parametrize("k", [9, 100, 99, 10])
 def test_only_outstanding_samples_belong_to_the_run(k: int) -> None:
     state = _running()
-    u = applied_code(CODES[k], 10)
+    u = device_code(CODES[k], 10)
     sample = device_sample(state, k=k, u_k=u, flags=int(Flag.RUN))
 
     _, actions = step.handle_sample(state, NOW, sample)
@@ -373,7 +373,7 @@ def test_a_run_may_begin_at_k_0(k_first: int) -> None:
     state = _running(due=0)
     assert state.run is not None
     first = changed(state, run=changed(state.run, k_first=k_first), last_reported_k=-1)
-    u = applied_code(CODES[0], 10)
+    u = device_code(CODES[0], 10)
 
     _, actions = step.handle_sample(
         first, NOW, device_sample(state, k=0, u_k=u, flags=int(Flag.RUN))
@@ -400,7 +400,7 @@ def test_a_duty_one_step_from_the_setpoint_trips(bits: int, steps: int) -> None:
     """S5: another voltage than the commanded one, however small the difference."""
     state = _running()
     state = changed(state, device=state.device._replace(pwm_bits=bits))
-    u = applied_code(CODES[10] + steps * (1 << 16 - bits), bits)
+    u = device_code(CODES[10] + steps * (1 << 16 - bits), bits)
 
     after, actions = step.handle_sample(
         state, NOW, device_sample(state, k=10, u_k=u, flags=int(Flag.RUN))
@@ -420,7 +420,7 @@ def test_the_applied_code_of_a_sample_outside_run_is_not_checked() -> None:
     assert after.fault is None
 
 
-def _told_at_the_end(state: State) -> list[Gap]:
+def _told_at_the_end(state: DecisionState) -> list[Gap]:
     _, actions = gaps.end_run(state, NOW, complete=True)
     return [a.record for a in actions if isinstance(a, Emit) and isinstance(a.record, Gap)]
 
@@ -434,9 +434,7 @@ def test_end_of_a_run_reports_the_missing_samples() -> None:
     assert [(g.k_first, g.count, g.code) for g in told] == [
         (200 + i, 1, GapCode.FRAME_LOST) for i in (97, 98, 99)
     ]
-    assert [g.u_held_v for g in told] == [
-        volts_of(applied_code(CODES[i], 10)) for i in (97, 98, 99)
-    ]
+    assert [g.u_held_v for g in told] == [volts_of(device_code(CODES[i], 10)) for i in (97, 98, 99)]
     assert gaps.end_run(state, NOW, complete=True)[1][-1].record.outcome == "complete"
     stopped = changed(state, outcome="stopped")
     assert gaps.end_run(stopped, NOW, complete=True)[1][-1].record.outcome == "stopped"

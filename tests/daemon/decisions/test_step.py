@@ -20,9 +20,10 @@ from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.outcomes import motor
 from armrig_daemon.decisions.state import (
     ActiveRun,
+    DecisionState,
     Emit,
-    Link,
     LinkDown,
+    LinkState,
     LinkUp,
     Phase,
     Queue,
@@ -30,7 +31,6 @@ from armrig_daemon.decisions.state import (
     RequestKind,
     Sent,
     SetPeriod,
-    State,
     Tick,
     Unechoed,
 )
@@ -46,7 +46,7 @@ from tests.daemon.virtual_bench import MS, Bench, codes
 TS = 10 * MS
 
 
-def _tick(state: State, now_ns: int, ahead: int = 1) -> Decided:
+def _tick(state: DecisionState, now_ns: int, ahead: int = 1) -> Decided:
     return Decided(state, now_ns, Tick(state.k + ahead, now_ns - 5))
 
 
@@ -109,7 +109,7 @@ def test_a_restored_link_starts_with_a_hello() -> None:
     assert isinstance(hello, Hello)
     after = decided.state
     assert hello.seq == 0
-    assert after.link == Link(seq=1, last_send_ns=bench.ports.now)
+    assert after.link == LinkState(seq=1, last_send_ns=bench.ports.now)
 
 
 @pytest.mark.parametrize(
@@ -367,7 +367,9 @@ def test_after_a_stop_and_without_a_lease_the_code_is_0() -> None:
 # -- an experiment of the host -------------------------------------------------------------------
 
 
-def _playing(volts: list[float], due: int, k_first: int | None = None) -> tuple[Bench, State]:
+def _playing(
+    volts: list[float], due: int, k_first: int | None = None
+) -> tuple[Bench, DecisionState]:
     """Return a state in which `due` samples of a run have been requested."""
     bench = driven()
     state = bench.loop.state
@@ -458,7 +460,9 @@ def test_lost_samples_of_a_run_are_reported_before_its_end() -> None:
 # -- gaps ----------------------------------------------------------------------------------------
 
 
-def _told(state: State, end: int, u_before: int | None = None) -> list[tuple[int, int, float]]:
+def _told(
+    state: DecisionState, end: int, u_before: int | None = None
+) -> list[tuple[int, int, float]]:
     _, actions = gaps.report_missing(state, end, 777, u_before)
     told = [a.record for a in actions]
     assert all(isinstance(g, Gap) for g in told)
@@ -527,7 +531,7 @@ def test_the_pieces_of_an_outage_are_bounded() -> None:
 # -- the end of a scheduled run ------------------------------------------------------------------
 
 
-def _scheduled(due: int, phase: Phase, now_after_ns: int = 0) -> tuple[State, list[object]]:
+def _scheduled(due: int, phase: Phase, now_after_ns: int = 0) -> tuple[DecisionState, list[object]]:
     """Return the actions at the end of a run of 10 samples at Ts 10 ms."""
     state = changed(
         rested().loop.state, phase=phase, outcome="why", absent=(), last_reported_k=99 + due
@@ -644,13 +648,13 @@ def test_trace_of_an_unknown_event_is_refused() -> None:
 def test_a_trace_does_not_contain_the_codes_of_the_run() -> None:
     _, state = _playing([1.0] * 100_000, 1)
 
-    written = trace.written_state(state)
+    written = trace.encode_state(state)
 
     assert len(written) < trace.CHUNK_BYTES
-    restored = trace.restored(written, state.run.codes)
+    restored = trace.decode_state(written, state.run.codes)
     assert restored.lease.lease != state.lease.lease
     assert changed(restored, lease=state.lease) == state
-    assert trace.restored(trace.written_state(changed(state, run=None)), b"x").run is None
+    assert trace.decode_state(trace.encode_state(changed(state, run=None)), b"x").run is None
 
 
 @pytest.mark.parametrize("scheduled", [False, True])

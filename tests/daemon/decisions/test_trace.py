@@ -59,7 +59,7 @@ def test_the_trace_of_a_run_reproduces_its_decisions(scheduled: bool) -> None:
 
     assert [c.number for c in chunks] == list(range(len(chunks)))
     assert len(chunks) > 3
-    state = trace.restored(chunks[0].state, codes(*VOLTS))
+    state = trace.decode_state(chunks[0].state, codes(*VOLTS))
     steps = [step for chunk in chunks for step in trace.steps_of(chunk.steps)]
     assert all(a.now_ns <= b.now_ns for a, b in pairwise(steps))
     for step in steps:
@@ -74,7 +74,7 @@ def test_the_trace_of_a_run_reproduces_its_decisions(scheduled: bool) -> None:
 def test_every_event_is_restored_from_its_bytes() -> None:
     bench = Bench()
     traced(bench, scheduled=True)
-    book = trace.Trace(bench.loop.state)
+    book = trace.TraceBuffer(bench.loop.state)
     order = Run(order=1, lease="b" * 32, n=5, run_id="x", codes=b"12", scheduled=True)
     events = [
         *(Tick(7, 70), Wakeup(), Received(b"\0\1\2"), LinkUp(), LinkDown("gone"), ServiceGone()),
@@ -96,7 +96,7 @@ def test_a_trace_of_another_version_is_refused(version: int) -> None:
     with pytest.raises(msgspec.DecodeError, match=f"version {version}: only 2 is known"):
         trace.steps_of(msgspec.msgpack.encode([]), version)
     with pytest.raises(msgspec.DecodeError, match=f"version {version}: only 2 is known"):
-        trace.restored(b"", b"", version)
+        trace.decode_state(b"", b"", version)
 
 
 def test_a_recording_does_not_contain_the_lease() -> None:
@@ -111,7 +111,7 @@ def test_a_recording_does_not_contain_the_lease() -> None:
     chunks = bench.of(Trace)
     assert chunks
     assert not any(LEASE.encode() in c.state + c.steps for c in chunks)
-    state = trace.restored(chunks[0].state, codes(*VOLTS))
+    state = trace.decode_state(chunks[0].state, codes(*VOLTS))
     refused = []
     for step in (s for c in chunks for s in trace.steps_of(c.steps)):
         state, actions = core_step.step(state, step.now_ns, step.events)
@@ -130,7 +130,7 @@ def test_a_recording_does_not_contain_the_lease() -> None:
 def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_numbered_gap() -> None:
     """4096 bytes are written at once."""
     bench = Bench()
-    book = trace.Trace(bench.loop.state)
+    book = trace.TraceBuffer(bench.loop.state)
     taken = []
     for n in range(999):
         book.note(n, [Received(b"x" * (7 * n % 2048))], [Send(b"y" * 57)] * 8)
@@ -149,12 +149,12 @@ def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_numbered_gap() -> None:
 def test_a_state_and_a_long_first_step_are_two_chunks() -> None:
     """Together they had 4.1 kB, of which a pipe that is nearly full takes only a part."""
     state = Bench().loop.state
-    book = trace.Trace(state)
+    book = trace.TraceBuffer(state)
 
     book.note(1, [Received(b"x" * 2900)], [])
     first, second = book.rest()
 
-    assert trace.restored(first.state, b"") == state
+    assert trace.decode_state(first.state, b"") == state
     assert trace.steps_of(first.steps) == []
     assert [step.now_ns for step in trace.steps_of(second.steps)] == [1]
 
@@ -170,7 +170,7 @@ def test_the_trace_contains_the_samples_before_its_first_step() -> None:
 
     chunks = bench.of(Trace)
     first = bench.of(RunStarted)[0].k_first
-    state = trace.restored(chunks[0].state, codes(*VOLTS))
+    state = trace.decode_state(chunks[0].state, codes(*VOLTS))
     told, published = state.last_reported_k, []
     for step in (s for c in chunks for s in trace.steps_of(c.steps)):
         state, actions = core_step.step(state, step.now_ns, step.events)
@@ -191,7 +191,7 @@ def test_the_trace_lies_between_the_records_of_the_start_and_end_of_a_run() -> N
 
 def test_keys_of_a_trace_are_independent_of_field_names() -> None:
     """A trace of version 2 has these; another name of the field makes no other version."""
-    fields = msgspec.msgpack.decode(trace.written_state(driven().loop.state))
+    fields = msgspec.msgpack.decode(trace.encode_state(driven().loop.state))
 
     assert "told" in fields
     assert {"any_ns", "fresh_ns"} <= fields["link"].keys()

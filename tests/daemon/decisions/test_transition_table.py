@@ -11,6 +11,7 @@ from armrig_daemon import pipe
 from armrig_daemon.decisions.faults import Fault, Id, of_device
 from armrig_daemon.decisions.state import (
     ActiveRun,
+    DecisionState,
     Emit,
     Event,
     Exit,
@@ -20,7 +21,6 @@ from armrig_daemon.decisions.state import (
     RequestKind,
     Send,
     ServiceGone,
-    State,
     Wakeup,
 )
 from armrig_daemon.pipe import Answer, Log, Order, Reset, RunEnded
@@ -44,7 +44,7 @@ from tests.daemon.decision_states import (
 )
 from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 
-Made = Callable[[State, HelloReply], Event]
+Made = Callable[[DecisionState, HelloReply], Event]
 """An event, made for the state that it meets and for the device that was met."""
 HELLO, CONFIGURE, ARMING, START, STOP, CLEAR = RequestKind
 STALE, RESET = Fault(Id.STALE, "no answer"), Reset(order=8)
@@ -77,17 +77,17 @@ def _hello_r(**fields: int) -> Made:
     return lambda _, device: _frame(device._replace(**{"state": Device.IDLE, **fields}))
 
 
-def _boot(s: State, device: HelloReply) -> Event:
+def _boot(s: DecisionState, device: HelloReply) -> Event:
     zero = DeviceEvent._make([0] * len(DeviceEvent._fields))
     return _frame(zero._replace(boot=device.boot_id + 1 & 0xFFFF))
 
 
-def _sample_after_boot(s: State, device: HelloReply) -> Event:
+def _sample_after_boot(s: DecisionState, device: HelloReply) -> Event:
     return _frame(device_sample(s, boot=device.boot_id + 1 & 0xFFFF))
 
 
 def _config_r(**fields: int) -> Made:
-    def made(s: State, _: HelloReply) -> Event:
+    def made(s: DecisionState, _: HelloReply) -> Event:
         (sent,) = Decided(s, s.asked.sent_ns + 50 * MS, Wakeup()).sent
         reply = ConfigReply._make((3, 0, int(Code.OK), 0, config_crc(sent), *sent[2:], 77))
         return _frame(reply._replace(**fields))
@@ -95,19 +95,19 @@ def _config_r(**fields: int) -> Made:
     return made
 
 
-def _end(s: State, _: HelloReply) -> Event:
+def _end(s: DecisionState, _: HelloReply) -> Event:
     sample = device_sample(s)._replace(state=Device.IDLE)
     acks = [Ack(Device.IDLE, 0, TYPES[Stop], Code.OK, OURS)] * 2
     return Received(b"\0" + b"".join(map(encode, (acks[0], sample, acks[1]))))
 
 
 @cache
-def _world(make: Callable[[], Bench]) -> tuple[State, int, HelloReply]:
+def _world(make: Callable[[], Bench]) -> tuple[DecisionState, int, HelloReply]:
     bench = make()
     return bench.loop.state, bench.ports.now, bench.loop.state.device
 
 
-def _told(before: State, decided: Decided) -> str:
+def _told(before: DecisionState, decided: Decided) -> str:
     """Return the phase, a new fault, the awaited request, the lease, and the actions in order."""
     state = decided.state
     is_new = state.fault and state.fault != before.fault

@@ -9,7 +9,15 @@ from armrig_daemon import pipe
 from armrig_daemon.decisions import orders, outcomes, transitions
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.outcomes import NO_DEVICE
-from armrig_daemon.decisions.state import Image, Phase, RequestKind, SetPeriod, State, Tick, Wakeup
+from armrig_daemon.decisions.state import (
+    DecisionState,
+    Image,
+    Phase,
+    RequestKind,
+    SetPeriod,
+    Tick,
+    Wakeup,
+)
 from armrig_daemon.pipe import Answer, Log, Reset
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol import messages as wire
@@ -162,7 +170,7 @@ def test_stop_is_confirmed_by_a_state_without_voltage(state: DeviceState) -> Non
 # -- HELLO ---------------------------------------------------------------------------------------
 
 
-def _met(bench: Bench, before: State, **fields: int) -> Decided:
+def _met(bench: Bench, before: DecisionState, **fields: int) -> Decided:
     """Return what follows from a HELLO_R."""
     device = bench.loop.state.device
     reply = device._replace(**{"state": int(DeviceState.IDLE), **fields})
@@ -280,7 +288,7 @@ def test_a_board_with_another_image_than_the_rig_needs_is_not_driven(
 # -- CONFIG --------------------------------------------------------------------------------------
 
 
-def _reply(state: State, **fields: int) -> wire.ConfigReply:
+def _reply(state: DecisionState, **fields: int) -> wire.ConfigReply:
     """Return the answer to the CONFIG that the state waits for."""
     (sent,) = Decided(state, state.asked.sent_ns + 50 * MS, Wakeup()).sent
     assert isinstance(sent, wire.Config)

@@ -18,10 +18,10 @@ def test_backlog_keeps_order_for_any_cuts(frames: list[bytes], cuts: list[int]) 
         taken = backlog.first()[:cut]
         if taken:
             left += taken
-            backlog.sent(len(taken))
+            backlog.remove_first(len(taken))
     while piece := backlog.first():
         left += piece
-        backlog.sent(len(piece))
+        backlog.remove_first(len(piece))
 
     assert left == b"".join(frames)
     assert backlog.waiting_bytes == backlog.dropped_frames == 0

@@ -6,10 +6,10 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from armrig_core.rig.volts import duty
 from armrig_daemon.emulator import board as board_module
-from armrig_daemon.emulator.board import Board, Change, VoltageError, reported, volts
+from armrig_daemon.emulator.board import Board, Change, VoltageError, pin_code, volts
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.messages import Cause, State
 from hypothesis import given
@@ -31,12 +31,12 @@ def test_the_duty_is_the_nearest_and_the_report_is_its_code(code: int, bits: int
     d = duty(code, bits)
 
     assert abs(d - Fraction(code << bits, 65535)) < Fraction(1, 2)
-    assert Fraction(-1, 2) < reported(code, bits) - Fraction(d * 65535, 1 << bits) <= Fraction(1, 2)
+    assert Fraction(-1, 2) < pin_code(code, bits) - Fraction(d * 65535, 1 << bits) <= Fraction(1, 2)
 
 
 @given(CODES, st.integers(0, 16).filter(lambda n: n == 0 or n >= 8))
 def test_the_reported_code_and_the_duty_are_the_same_voltage(code: int, bits: int) -> None:
-    assert volts(reported(code, bits), bits) == volts(code, bits)
+    assert volts(pin_code(code, bits), bits) == volts(code, bits)
 
 
 @given(CODES, st.sampled_from([0, 8, 10, 16]))
@@ -99,7 +99,7 @@ def test_an_ideal_sensor_has_no_dead_band() -> None:
 
 def test_a_board_reads_the_outputs_of_a_described_rig() -> None:
     """The heater at rest is as warm as the room."""
-    heater, settings = shipped("heater"), EmulatorSettings(adc_bits=0, adc_noise_v=0.0)
+    heater, settings = builtin("heater"), EmulatorSettings(adc_bits=0, adc_noise_v=0.0)
 
     board = Board(settings, 0, np.random.default_rng(0), description=heater)
 
@@ -119,7 +119,7 @@ def test_a_driver_with_a_gain_and_an_offset_stays_between_its_supplies(
     board.latch(0, code, Cause.REQUEST)
 
     assert board.volts == pytest.approx(terminal, abs=0.005)
-    assert board.code == reported(code, 10)
+    assert board.code == pin_code(code, 10)
 
 
 def test_a_late_duty_measurement_drives_the_arm_from_its_present_time() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig_daemon.emulator.clock import Clock, microseconds, started
+from armrig_daemon.emulator.clock import EmulatedClock, clock_at_reset, microseconds
 from armrig_daemon.emulator.settings import EmulatorSettings
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,7 +15,7 @@ PPM = st.floats(-500, 500)
 def test_an_instant_is_the_first_at_which_the_clock_shows_it(
     ppm: float, reset_ns: int, device_ns: int
 ) -> None:
-    clock = started(EmulatorSettings(clock_ppm=ppm), reset_ns)
+    clock = clock_at_reset(EmulatorSettings(clock_ppm=ppm), reset_ns)
 
     t_ns = clock.instant(device_ns)
 
@@ -25,12 +25,12 @@ def test_an_instant_is_the_first_at_which_the_clock_shows_it(
 
 def test_clock_of_a_slow_oscillator() -> None:
     """100 ppm: 100 µs a second."""
-    slow = started(EmulatorSettings(clock_ppm=100.0), 5)
+    slow = clock_at_reset(EmulatorSettings(clock_ppm=100.0), 5)
 
     assert slow.instant(10**9) == 5 + 10**9 + 100_000
     assert slow.after(5, 10**10) == 5 + 10**10 + 1_000_000
-    assert Clock(7).device_ns(107) == 100
-    assert Clock(7).instant(100) == 107
+    assert EmulatedClock(7).device_ns(107) == 100
+    assert EmulatedClock(7).instant(100) == 107
 
 
 def test_microseconds_wrap() -> None:

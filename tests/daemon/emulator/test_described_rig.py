@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from armrig_core.commands.rehearsal import rehearse_outputs
 from armrig_core.errors import FileError, InputError, OperationError
-from armrig_core.rig.description import Description, read_description, require_model, shipped
-from armrig_core.rig.saved_model import saved_system
+from armrig_core.rig.description import Description, builtin, read_description, require_model
+from armrig_core.rig.saved_model import read_system
 from armrig_daemon.emulator.described_rig import DescribedRig
 
-RC = shipped("rc")
-HEATER = shipped("heater")
+RC = builtin("rc")
+HEATER = builtin("heater")
 MS = 1_000_000
 
 
@@ -63,7 +63,7 @@ def test_the_input_of_the_heater_acts_after_its_dead_time() -> None:
 
 def test_the_reading_of_a_nonlinear_sensor_is_the_inverse_of_its_points() -> None:
     """The output is between two points of the table: 25 degC and 45 % of 0.599 degC/%."""
-    text = shipped("heatshield").text.replace(b"noise = [0.05]", b"")
+    text = builtin("heatshield").text.replace(b"noise = [0.05]", b"")
 
     y = moved(Description.of(text), [2.25] * 6, 1_000_000 * MS)
 
@@ -268,14 +268,14 @@ def test_a_file_that_cannot_be_emulated_is_refused(
     tmp_path: Path, changes: dict[str, Any], why: str
 ) -> None:
     with pytest.raises(FileError, match=why):
-        saved_system(saved(tmp_path / "m.json", **changes), ["y"])
+        read_system(saved(tmp_path / "m.json", **changes), ["y"])
 
 
 def test_a_file_that_is_nested_too_deeply_is_refused(tmp_path: Path) -> None:
     (tmp_path / "m.json").write_text('{"format": "armrig model", "form": ' + "[" * 10**5)
 
     with pytest.raises(FileError, match="a damaged model"):
-        saved_system(tmp_path / "m.json", ["y"])
+        read_system(tmp_path / "m.json", ["y"])
 
 
 CENTRED = b"""[rig]

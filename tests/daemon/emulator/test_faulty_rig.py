@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from armrig_core.errors import InputError
 from armrig_core.rig.arm import ArmParameters
-from armrig_core.rig.description import Description, path_of, shipped
+from armrig_core.rig.description import Description, builtin, path_of
 from armrig_core.rig.volts import code_of
 from armrig_daemon.config import load
 from armrig_daemon.emulator.board import Board
@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from tests.daemon.virtual_bench import Bench
 
-RC = shipped("rc")
+RC = builtin("rc")
 CENTRED = Description.of(
     b"""[rig]
 name = "centred"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from armrig_daemon.emulator.board import Board
-from armrig_daemon.emulator.clock import Clock
+from armrig_daemon.emulator.clock import EmulatedClock
 from armrig_daemon.emulator.converter import latch
 from armrig_daemon.emulator.device import LEAD_NS, Device
 from armrig_daemon.emulator.firmware import NEVER, Firmware, Hardware, PendingSample
@@ -147,7 +147,7 @@ def _firmware() -> Firmware:
         board=Board(QUIET, 0, np.random.default_rng(0)),
         hardware=Hardware(conversion_ns=1, hold_ns=1, adc_bits=10, pwm_bits=10, queue=512),
         rng=np.random.default_rng(0),
-        clock=Clock(0),
+        clock=EmulatedClock(0),
         boot_id=1,
         mcusr=1,
     )

@@ -20,7 +20,7 @@ stalls = st.lists(
 def test_clock_without_tolerance_is_the_host_clock() -> None:
     time = HostTime(5, tolerates_stalls=False)
 
-    assert time.given_ns(700 * MS) == 700 * MS
+    assert time.emulation_ns(700 * MS) == 700 * MS
     assert time.look_ns(10**18) == 10**18
     assert time.held_up_ns == 0
 
@@ -28,11 +28,11 @@ def test_clock_without_tolerance_is_the_host_clock() -> None:
 def test_stall_above_10_ms_is_removed_from_the_clock() -> None:
     time = HostTime(0, tolerates_stalls=True)
 
-    assert time.given_ns(40 * MS, due_ns=35 * MS) == 40 * MS
-    assert time.given_ns(300 * MS, due_ns=50 * MS) == 60 * MS
+    assert time.emulation_ns(40 * MS, due_ns=35 * MS) == 40 * MS
+    assert time.emulation_ns(300 * MS, due_ns=50 * MS) == 60 * MS
     assert time.held_up_ns == 240 * MS
     assert time.monotonic_ns(60 * MS) == 300 * MS
-    assert time.given_ns(301 * MS) == 61 * MS
+    assert time.emulation_ns(301 * MS) == 61 * MS
 
 
 def test_the_clock_is_read_at_bounded_intervals() -> None:
@@ -40,7 +40,7 @@ def test_the_clock_is_read_at_bounded_intervals() -> None:
 
     assert time.look_ns(10**18) == LOOK_NS
     assert time.look_ns(3) == 3
-    given_ns = time.given_ns(300 * MS, due_ns=50 * MS)
+    given_ns = time.emulation_ns(300 * MS, due_ns=50 * MS)
     assert given_ns < 300 * MS
     assert time.look_ns(10**18) == given_ns + LOOK_NS
 
@@ -54,7 +54,7 @@ def test_the_emulated_time_grows_by_each_wait_and_at_most_10_ms_of_delay(
     for wait_ns, late_ns in waits:
         due_ns = before_ns + wait_ns
         now_ns += wait_ns + late_ns
-        given_ns = time.given_ns(now_ns, due_ns)
+        given_ns = time.emulation_ns(now_ns, due_ns)
         assert given_ns - before_ns == wait_ns + min(late_ns, STALL_NS)
         owed_ns += max(0, late_ns - STALL_NS)
         before_ns = given_ns
@@ -71,7 +71,7 @@ def test_a_stall_does_not_change_the_watchdog_period_on_the_device_clock(
     for wait_ns, late_ns in [*waits, *[(10 * MS, 0)] * 20]:
         due_ns = time.look_ns(given_ns + wait_ns)
         now_ns = max(now_ns, time.monotonic_ns(due_ns)) + late_ns
-        given_ns = time.given_ns(now_ns, due_ns)
+        given_ns = time.emulation_ns(now_ns, due_ns)
         host.device.advance(given_ns)
 
     tripped = host.changes[-1]
@@ -88,7 +88,7 @@ def test_a_frame_received_during_a_stall_precedes_the_watchdog(
     time = HostTime(fed_ns, tolerates_stalls=tolerates)
 
     due_ns = time.look_ns(host.device.visible_ns())
-    given_ns = time.given_ns(fed_ns + 2 * S, due_ns)
+    given_ns = time.emulation_ns(fed_ns + 2 * S, due_ns)
     host.device.advance(given_ns)
     host.now_ns = given_ns
     host.ask(Exchange, k=1, u=30_000)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from armrig_daemon.conformance.host import BOOT_MS, Host
+from armrig_daemon.conformance.host import BOOT_MS, LineHost
 from armrig_daemon.conformance.line import VirtualLine
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
@@ -51,7 +51,7 @@ class Heard:
     def __init__(self, settings: dict[str, Any]) -> None:
         given = EmulatorSettings(**settings)
         self.device = Device(given, 0)
-        self.host = Host(VirtualLine(self.device), given.baud)
+        self.host = LineHost(VirtualLine(self.device), given.baud)
         self.lines = [_line(self.host.hello(BOOT_MS))]
 
     def ask(self, kind: type[wire.Message], **fields: Any) -> None:

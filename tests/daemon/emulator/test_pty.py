@@ -14,9 +14,9 @@ from select import EPOLLHUP, EPOLLIN, EPOLLOUT
 
 import pytest
 from armrig_core.errors import OperationError
-from armrig_daemon.conformance.host import Host, only
+from armrig_daemon.conformance.host import LineHost, only
 from armrig_daemon.conformance.serial_line import SerialLine
-from armrig_daemon.emulator.line import Line, Terminal, _watch
+from armrig_daemon.emulator.line import EmulatedLine, Terminal, _watch
 from armrig_daemon.emulator.real_time import emulate
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.messages import Event, Keepalive, Mode, Sample, Start, State, Stop
@@ -74,10 +74,10 @@ def emulator(tmp_path: Path) -> Iterator[Emulator]:
 
 
 @contextmanager
-def _host(emulator: Emulator) -> Iterator[Host]:
+def _host(emulator: Emulator) -> Iterator[LineHost]:
     """Open the port as the daemon does; the device is in BOOT first."""
     with closing(SerialLine(str(emulator.link), BAUD)) as line:
-        host = Host(line, BAUD)
+        host = LineHost(line, BAUD)
         host.hello(PATIENCE_S * 1000)
         yield host
 
@@ -182,7 +182,7 @@ def test_a_regular_file_is_not_replaced(tmp_path: Path) -> None:
 @pytest.mark.parametrize("then", [EPOLLIN, EPOLLOUT, EPOLLIN | EPOLLOUT])
 def test_a_port_whose_closing_was_reported_once_is_read_to_its_end(then: int) -> None:
     reader, writer = os.pipe()
-    line = Line()
+    line = EmulatedLine()
     line.fd, line.connected = reader, True
     os.write(writer, b"ab")
     os.close(writer)

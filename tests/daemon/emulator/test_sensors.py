@@ -6,12 +6,12 @@ from math import pi, radians, tau
 
 import numpy as np
 import pytest
-from armrig_daemon.emulator.sensors import Potentiometer, convert, wiper
+from armrig_daemon.emulator.sensors import EmulatedPotentiometer, convert, wiper
 from hypothesis import given
 from hypothesis import strategies as st
 
-TURNING = Potentiometer(range_rad=radians(352), zero_rad=radians(176), wraps=True)
-ENDING = Potentiometer(range_rad=radians(300), zero_rad=radians(150), wraps=False)
+TURNING = EmulatedPotentiometer(range_rad=radians(352), zero_rad=radians(176), wraps=True)
+ENDING = EmulatedPotentiometer(range_rad=radians(300), zero_rad=radians(150), wraps=False)
 
 
 def rng() -> np.random.Generator:
@@ -80,7 +80,7 @@ def test_noise_has_the_configured_standard_deviation() -> None:
 
 
 def test_a_track_between_two_resistors_gives_less_than_the_whole_voltage() -> None:
-    pot = Potentiometer(range_rad=4.0, zero_rad=1.0, wraps=True, low=0.1, high=0.9)
+    pot = EmulatedPotentiometer(range_rad=4.0, zero_rad=1.0, wraps=True, low=0.1, high=0.9)
 
     assert wiper(pot, -1.0) == pytest.approx(0.1)
     assert wiper(pot, 1.0) == pytest.approx(0.5)
@@ -89,7 +89,7 @@ def test_a_track_between_two_resistors_gives_less_than_the_whole_voltage() -> No
 
 
 def test_a_reversed_potentiometer_falls_as_the_angle_grows() -> None:
-    pot = Potentiometer(range_rad=4.0, zero_rad=1.0, wraps=False, sign=-1.0)
+    pot = EmulatedPotentiometer(range_rad=4.0, zero_rad=1.0, wraps=False, sign=-1.0)
 
     assert wiper(pot, 0.0) == pytest.approx(0.25)
     assert wiper(pot, 0.4) == pytest.approx(0.15)

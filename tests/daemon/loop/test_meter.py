@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from armrig_core.telemetry.channels import SAMPLE_FIELDS
 from armrig_core.telemetry.telemetry import Sample
-from armrig_daemon.decisions.clockmap import Link, start
+from armrig_daemon.decisions.clockmap import LinkTiming, start
 from armrig_daemon.loop.meter import Meter, clock_record
 
 S, MS, US = 1_000_000_000, 1_000_000, 1_000
@@ -17,9 +17,9 @@ def _sample(k: int, t_device_us: int) -> Sample:
 
 def test_statistics_are_reported_after_each_second_and_start_again_at_0() -> None:
     meter = Meter(BEGAN)
-    meter.woke(30 * US, 2, 10 * US)
-    meter.came_back(20 * US)
-    meter.queued(7)
+    meter.note_wake(30 * US, 2, 10 * US)
+    meter.note_round_trip(20 * US)
+    meter.note_queue(7)
 
     assert [meter.is_second_over(BEGAN + ns) for ns in (S - 1, S)] == [False, True]
     told = meter.take_second(BEGAN + S, 4)
@@ -38,10 +38,10 @@ def test_statistics_are_reported_after_each_second_and_start_again_at_0() -> Non
 def test_the_device_s_error_is_its_distance_from_the_period() -> None:
     meter = Meter(BEGAN)
     for k, t_us in ((1, 1000), (2, 2007), (5, 4997), (3, 9000), (4, 10_000)):
-        meter.sampled(_sample(k, t_us), 1 * MS)
+        meter.note_sample(_sample(k, t_us), 1 * MS)
     meter.forget_device()
-    meter.sampled(_sample(9, 99_000), 2 * MS)
-    meter.sampled(_sample(10, 101_000), 2 * MS)
+    meter.note_sample(_sample(9, 99_000), 2 * MS)
+    meter.note_sample(_sample(10, 101_000), 2 * MS)
 
     told = meter.take_second(BEGAN + S, 0)
 
@@ -49,4 +49,4 @@ def test_the_device_s_error_is_its_distance_from_the_period() -> None:
 
 
 def test_a_clock_without_a_comparison_is_not_reported() -> None:
-    assert clock_record(start(Link()), BEGAN) is None
+    assert clock_record(start(LinkTiming()), BEGAN) is None

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from armrig_daemon.loop.loop import Pace, changed_pace
+from armrig_daemon.loop.loop import TickSchedule, change_pace
 from hypothesis import given
 from hypothesis import strategies as st
 
-PACE = Pace(period_ns=1000, origin_ns=5000, k_origin=0)
+PACE = TickSchedule(period_ns=1000, origin_ns=5000, k_origin=0)
 
 
 def test_deadlines_do_not_drift() -> None:
@@ -28,14 +28,14 @@ def test_the_newest_due_tick_is_executed(k: int, late_ns: int) -> None:
 
 
 def test_a_changed_period_begins_one_period_from_now() -> None:
-    pace = changed_pace(PACE, k=7, period_ns=300, now_ns=20_000)
+    pace = change_pace(PACE, k=7, period_ns=300, now_ns=20_000)
 
     assert [pace.due_ns(k) for k in (7, 8)] == [20_300, 20_600]
 
 
 @given(st.integers(0, 10**6))
 def test_renumbered_tick_keeps_the_phase(now_ns: int) -> None:
-    pace = changed_pace(PACE, k=70, period_ns=1000, now_ns=now_ns)
+    pace = change_pace(PACE, k=70, period_ns=1000, now_ns=now_ns)
 
     ahead_ns = pace.due_ns(70) - now_ns
     assert 0 <= ahead_ns < 1000

@@ -21,7 +21,7 @@ from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
 from armrig_daemon.loop import process
 from armrig_daemon.loop.link import READ, TakenPortError
-from armrig_daemon.loop.process import REOPEN_NS, ProcessPorts, Settings
+from armrig_daemon.loop.process import REOPEN_NS, LoopSettings, ProcessPorts
 from armrig_daemon.pipe import Alive, Host, Log, record_bytes, take_records
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
@@ -61,7 +61,7 @@ def pipes() -> Iterator[dict[str, int]]:
 @pytest.fixture
 def ports(pipes: dict[str, int]) -> ProcessPorts:
     """Return ports whose line is open."""
-    settings = Settings(
+    settings = LoopSettings(
         rules=Config().rules(),
         port=os.ttyname(pipes["slave"]),
         baud=115_200,
@@ -292,7 +292,7 @@ def program() -> Iterator[_Ports]:
 
 
 def _main(pipes: dict[str, int]) -> int:
-    settings = Settings(
+    settings = LoopSettings(
         rules=Config().rules(), port="/dev/odd", baud=9600, priority=7, cpu=1, spin_ns=50_000
     )
     fds = [str(pipes["orders_out"]), str(pipes["records_in"])]

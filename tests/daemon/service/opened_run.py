@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from armrig_core.commands.commands import Run, RunAccepted
+from armrig_core.commands.commands import RunAccepted, RunRequest
 from armrig_daemon import pipe
 from armrig_daemon.service.plan import make_plan, options_of
 from armrig_daemon.service.runs import Runs
 
 
 def open_run(
-    runs: Runs, request: Run, Ts: float, start_rad: float | None = None
+    runs: Runs, request: RunRequest, Ts: float, start_rad: float | None = None
 ) -> tuple[pipe.Run, RunAccepted]:
     """Plan a run and have its file created; return the order, and the client's answer."""
     options = options_of(request)

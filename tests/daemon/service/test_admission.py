@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.commands.commands import REQUESTS, Renew, Run, Set
+from armrig_core.commands.commands import REQUESTS, Renew, RunRequest, SetRequest
 from armrig_core.rig.calibration_file import RAW_LIMIT
 from armrig_daemon.service.admission import LEASED, refusal
 
@@ -26,12 +26,12 @@ def test_a_command_without_the_lease_in_force_is_refused(name: str, lease: str) 
 @pytest.mark.parametrize(
     "request_",
     [
-        Run(lease=LEASE, n=1, u=[1.0] * 10_000),
-        Set(lease=LEASE, n=1, u=1.0),
+        RunRequest(lease=LEASE, n=1, u=[1.0] * 10_000),
+        SetRequest(lease=LEASE, n=1, u=1.0),
         Renew(lease=LEASE, n=1),
     ],
 )
-def test_commands_of_the_holder_are_admitted(request_: Run | Set | Renew) -> None:
+def test_commands_of_the_holder_are_admitted(request_: RunRequest | SetRequest | Renew) -> None:
     assert refusal(request_.name, msgspec.json.encode(request_), LEASE.encode()) is None
 
 

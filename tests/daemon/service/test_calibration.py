@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 from armrig_core.rig.calibration import Calibration, Made, Potentiometer
-from armrig_core.rig.description import shipped
-from armrig_daemon.config import Config, Rig
-from armrig_daemon.service.calibration import checked_calibration
+from armrig_core.rig.description import builtin
+from armrig_daemon.config import Config, RigIdentity
+from armrig_daemon.service.calibration import check_calibration
 from msgspec.structs import replace
 
 RAW = b"samples"
@@ -26,14 +26,14 @@ SENT = Calibration(
     alpha=Potentiometer(wraps=False),
     made=MADE,
 )
-CONFIG, ARM = Config(rig=Rig(id="2")), shipped("arm")
+CONFIG, ARM = Config(rig=RigIdentity(id="2")), builtin("arm")
 
 
 def test_an_accepted_calibration_is_unchanged_except_for_its_file() -> None:
-    found = checked_calibration(SENT, RAW, CONFIG, {"uid": "abc"}, ARM)
+    found = check_calibration(SENT, RAW, CONFIG, {"uid": "abc"}, ARM)
 
     assert found == replace(SENT, made=replace(MADE, file=""))
-    assert checked_calibration(SENT, RAW, CONFIG, {}, ARM) == found
+    assert check_calibration(SENT, RAW, CONFIG, {}, ARM) == found
 
 
 @pytest.mark.parametrize(
@@ -52,9 +52,9 @@ def test_a_calibration_of_another_rig_or_device_is_refused(
     fields: dict[str, Any], said: str
 ) -> None:
     with pytest.raises(ValueError, match=said):
-        checked_calibration(replace(SENT, **fields), RAW, CONFIG, {"uid": "abc"}, ARM)
+        check_calibration(replace(SENT, **fields), RAW, CONFIG, {"uid": "abc"}, ARM)
 
 
 def test_a_heater_is_not_calibrated_as_an_arm() -> None:
     with pytest.raises(ValueError, match=r"'heater'.*give zero_counts and per_count in the rig's"):
-        checked_calibration(SENT, RAW, CONFIG, {"uid": "abc"}, shipped("heater"))
+        check_calibration(SENT, RAW, CONFIG, {"uid": "abc"}, builtin("heater"))

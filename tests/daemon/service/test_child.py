@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from armrig_daemon.config import Config
-from armrig_daemon.loop.process import Settings
+from armrig_daemon.loop.process import LoopSettings
 from armrig_daemon.pipe import Host, Record, record_bytes
 from armrig_daemon.service.host import child as child_module
 from armrig_daemon.service.host.child import LoopChild, start
@@ -35,7 +35,7 @@ def child(terminal: tuple[int, str]) -> Iterator[LoopChild]:
 def _started(port: str) -> LoopChild:
     rules = Config().rules()
     child = start(
-        Settings(rules=rules, port=port, baud=rules.baud, priority=0, cpu=None, spin_ns=0),
+        LoopSettings(rules=rules, port=port, baud=rules.baud, priority=0, cpu=None, spin_ns=0),
         os.dup(2),
     )
     _heard(child, Host)

@@ -13,16 +13,16 @@ from armrig.recordings.files import replay as replay_module
 from armrig.recordings.files.control_run import control_run
 from armrig.recordings.files.replay import replay
 from armrig.recordings.files.verification import check_control, verify
-from armrig_core.commands.commands import Control
+from armrig_core.commands.commands import ControlRequest
 from armrig_core.control.control_law import ControlLaw
 from armrig_core.errors import FileError, InputError, OperationError
 from armrig_core.recording_file.manifest import CONTROLLER, REFERENCE
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.decisions.state import Publish
 from armrig_daemon.pipe import RunEnded
-from armrig_daemon.service.plan import Plan, plan_of
+from armrig_daemon.service.plan import RunPlan, plan_of
 from armrig_daemon.service.virtual_service import LEASE, VirtualService, requests_of
 
 from tests.clients.recordings.test_exchanged_attachments import rewritten
@@ -34,8 +34,8 @@ STEP = [2.0] * 150 + [4.0] * 150
 MONITORED = arm_law(monitor=arm_monitor(prelude=50))
 
 
-def request(law: ControlLaw, reference: list[float] = STEP, **changes: object) -> Control:
-    return Control(lease=LEASE, n=0, law=law, reference=reference, **changes)
+def request(law: ControlLaw, reference: list[float] = STEP, **changes: object) -> ControlRequest:
+    return ControlRequest(lease=LEASE, n=0, law=law, reference=reference, **changes)
 
 
 @pytest.fixture(scope="module")
@@ -227,10 +227,14 @@ def test_a_malformed_command_is_refused(fields: dict[str, object], part: str) ->
     text = msgspec.to_builtins(request(arm_law())) | fields
 
     refusal = plan_of(
-        lambda: msgspec.json.encode(text), 0.01, Config(), shipped("arm"), command=Control.name
+        lambda: msgspec.json.encode(text),
+        0.01,
+        Config(),
+        builtin("arm"),
+        command=ControlRequest.name,
     )
 
-    assert not isinstance(refusal, Plan)
+    assert not isinstance(refusal, RunPlan)
     assert refusal.error.startswith("control: ")
     assert part in refusal.error
 

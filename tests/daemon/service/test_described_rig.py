@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.recording_file.manifest import DESCRIPTION, RUN, Manifest, description_of
-from armrig_core.rig.description import Description, path_of, shipped
+from armrig_core.rig.description import Description, builtin, path_of
 from armrig_core.rig.firmware_image import image_crcs
-from armrig_daemon.config import Config, Rig, load
+from armrig_daemon.config import Config, RigIdentity, load
 from armrig_daemon.config import description_of as configured
 from armrig_daemon.decisions.state import Image
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from msgspec import UNSET, UnsetType
 
-RC = shipped("rc")
+RC = builtin("rc")
 TWO = Description.of(
     b'[rig]\nname = "two"\n'
     b'[outputs.T]\nunit = "\xc2\xb0C"\nzero_counts = 100.0\nper_count = 0.5\n'
@@ -29,9 +29,9 @@ TWO = Description.of(
 
 def _recorded(folder: Path, description: Description) -> tuple[list[Any], dict[str, str], bytes]:
     """Return samples, metadata and attached description of a run on an emulated rig."""
-    config = Config(rig=Rig(file=str(folder / "rig.toml")))
+    config = Config(rig=RigIdentity(file=str(folder / "rig.toml")))
     service = VirtualService(config, folder, seed=1, description=description)
-    path = service.record(Run(lease=LEASE, n=0, u=[1.0] * 50, experiment="own"))
+    path = service.record(RunRequest(lease=LEASE, n=0, u=[1.0] * 50, experiment="own"))
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         samples = [m for _, c, _, m in reader.iter_decoded_messages() if c.topic.endswith("sample")]
@@ -64,7 +64,7 @@ def test_a_reading_that_the_rig_does_not_use_has_no_value(tmp_path: Path) -> Non
 
 
 def test_a_recording_without_a_description_is_the_arms() -> None:
-    assert description_of({}) is shipped("arm")
+    assert description_of({}) is builtin("arm")
     assert description_of({DESCRIPTION: RC.text}) == RC
 
 
@@ -75,7 +75,7 @@ def test_the_configuration_names_the_file_of_the_description(tmp_path: Path) -> 
     config = load([tmp_path / "armrig.toml"], {}, {})
 
     assert configured(config) == RC
-    assert configured(Config()) is shipped("arm")
+    assert configured(Config()) is builtin("arm")
     assert config.rules(RC).conversions == RC.conversions
     assert Config().rules().conversions == Config().calibration.channels
 
@@ -94,7 +94,7 @@ def test_the_description_of_a_shield_names_its_image_and_its_highest_voltage() -
 
 
 def test_the_description_of_an_arm_is_its_calibration(tmp_path: Path) -> None:
-    text = shipped("arm").text.replace(b"zero_counts = 32768.0", b"zero_counts = 30000.0")
+    text = builtin("arm").text.replace(b"zero_counts = 32768.0", b"zero_counts = 30000.0")
     (tmp_path / "arm.toml").write_bytes(text)
     file = {"rig": {"file": str(tmp_path / "arm.toml")}}
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import msgspec
 import pytest
 from armrig_core.errors import OperationError
-from armrig_daemon.config import Rig
+from armrig_daemon.config import RigIdentity
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.service.host import emulated_rig
-from armrig_daemon.service.host.emulated_rig import emulated
+from armrig_daemon.service.host.emulated_rig import emulator_process
 from msgspec.structs import replace
 
 from tests.daemon.odd_bench import CONFIG
@@ -32,7 +32,7 @@ class Killed(subprocess.Popen):
         os._exit(9)
 
 subprocess.Popen = Killed
-with emulated_rig.emulated(Config(), Path(sys.argv[1])):
+with emulated_rig.emulator_process(Config(), Path(sys.argv[1])):
     pass
 """
 
@@ -89,9 +89,11 @@ def child(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("child")
 def test_an_emulator_has_the_speed_of_the_line_and_ends_with_its_daemon(tmp_path: Path) -> None:
-    config = replace(CONFIG, rig=Rig(id="lives"), device=replace(CONFIG.device, baud=115_200))
+    config = replace(
+        CONFIG, rig=RigIdentity(id="lives"), device=replace(CONFIG.device, baud=115_200)
+    )
 
-    with emulated(config, tmp_path) as (found, stalls_fd):
+    with emulator_process(config, tmp_path) as (found, stalls_fd):
         child = _CHILDREN.pop()
         told = os.read(stalls_fd, 100)
         assert child.ended == []
@@ -107,7 +109,7 @@ def test_an_emulator_has_the_speed_of_the_line_and_ends_with_its_daemon(tmp_path
 def test_an_emulator_that_ends_at_once_is_reported(tmp_path: Path) -> None:
     with (
         pytest.raises(OperationError, match=rf"did not start at {tmp_path}/lab-2-\d+\.line"),
-        emulated(CONFIG, tmp_path),
+        emulator_process(CONFIG, tmp_path),
     ):
         pytest.fail("it has not started")
 

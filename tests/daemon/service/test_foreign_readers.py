@@ -12,7 +12,7 @@ from typing import Any
 import armrig
 import pytest
 from armrig.recordings.files.container import read
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.recording_file.manifest import (
     CALIBRATION,
     CONFIG,
@@ -22,7 +22,7 @@ from armrig_core.recording_file.manifest import (
     RECOVERED,
     RUN,
 )
-from armrig_core.recording_file.recording_part import Part
+from armrig_core.recording_file.recording_part import RecordingPart
 from armrig_core.recording_file.recovery import Recovery
 from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
 from armrig_core.telemetry.topics import RECORDED
@@ -45,10 +45,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("files")
     u = armrig.telegraph(N, 0.05, low=0.5, high=4.5, seed=1).tolist()
     service = VirtualService(Config(), folder, seed=1)
-    whole = service.record(Run(lease=LEASE, n=0, u=u, experiment="a"))
+    whole = service.record(RunRequest(lease=LEASE, n=0, u=u, experiment="a"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runs, "part_samples", lambda *_: 150)
-        service.record(Run(lease=LEASE, n=0, u=u, experiment="b"))
+        service.record(RunRequest(lease=LEASE, n=0, u=u, experiment="b"))
     parts = sorted(folder.glob("*.part-*"))
     assert len(parts) == 3
     named = {f"part {i}": part for i, part in enumerate(parts, 1)}
@@ -58,7 +58,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def _recovered(folder: Path, recording: armrig.Recording) -> Path:
     """Return the recording of a daemon that died within a write, recovered."""
     about = {CONFIG: b"{}", CALIBRATION: b"{}", INPUT: b"u_v\n1.0\n"}
-    part = Part(folder / "recovered.mcap").begin(recording.manifest, about, 0)
+    part = RecordingPart(folder / "recovered.mcap").begin(recording.manifest, about, 0)
     for i, values in enumerate(recording.samples.tolist(), 1):
         s = Sample(*values)
         part.add(Outgoing("sample", s.t_host_ns, s.t_sched_ns, s.k, encode_sample(s)))

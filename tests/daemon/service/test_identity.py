@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from armrig_daemon.service.commands import signed
+from armrig_daemon.service.commands import display_name
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ from armrig_daemon.service.commands import signed
     ],
 )
 def test_the_name_of_a_client_includes_its_verified_identity(said: str, by: str, told: str) -> None:
-    assert signed(said, by) == told
+    assert display_name(said, by) == told
 
 
 class _Unread(str):
@@ -37,7 +37,7 @@ class _Unread(str):
 
 def test_a_long_client_name_is_truncated() -> None:
     """8 MB of unprintable characters delayed the service, and a stop, for half a second."""
-    assert signed(_Unread(" " + "\x01" * 1000), "user bob") == "\\x01" * 20 + " (user bob)"
+    assert display_name(_Unread(" " + "\x01" * 1000), "user bob") == "\\x01" * 20 + " (user bob)"
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_a_long_client_name_is_truncated() -> None:
     ],
 )
 def test_round_brackets_in_a_client_name_are_replaced(said: str) -> None:
-    told = signed(said, "")
+    told = display_name(said, "")
 
     assert not set(told) & set(
         "()\uff08\uff09\u207d\u207e\ufe59\ufe5a\u2768\u2769\u2e28\u2e29\u2474"

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from armrig_core.access.owned_session import LANES, owned_session, strangers, transport
+from armrig_core.access.owned_session import LANES, session_configuration, strangers, transport
 from armrig_daemon.service import listener
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.listener import Listener, session_config
@@ -53,7 +53,7 @@ def test_network_clients_have_limits_that_the_unix_socket_has_not() -> None:
     tls: Any = session_config("tls/h:7447", _network())
 
     assert local == json.loads(
-        json.dumps(owned_session("unixsock-stream//s", most_received=88 << 20))
+        json.dumps(session_configuration("unixsock-stream//s", most_received=88 << 20))
     )
     assert tls["listen"]["endpoints"] == ["tls/h:7447#tls_handshake_timeout_ms=3000"]
     assert (tls["access_control"], tls["low_pass_filter"]) == ({"rules": ["ours"]}, ["short"])

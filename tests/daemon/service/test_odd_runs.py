@@ -11,7 +11,7 @@ from typing import Any
 import armrig
 import msgspec
 import numpy as np
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.errors import OperationError
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from mcap.reader import make_reader
@@ -55,7 +55,7 @@ def test_recordings_of_an_unusual_rig_equal_the_stored_recordings(tmp_path: Path
         lines.append(f"# {run['experiment']}")
         before = {*tmp_path.iterdir()}
         try:
-            rig.record(Run(lease=LEASE, n=0, **run))
+            rig.record(RunRequest(lease=LEASE, n=0, **run))
         except (OperationError, ValueError) as err:
             lines.append(f"  {type(err).__name__}: {err}")
         for path in sorted({*tmp_path.iterdir()} - before):

@@ -13,11 +13,11 @@ import msgspec
 import numpy as np
 import pytest
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.commands.commands import MOST_SAMPLES, Refused, Run, RunOptions
-from armrig_core.rig.description import Description, read_description, shipped
+from armrig_core.commands.commands import MOST_SAMPLES, Refused, RunOptions, RunRequest
+from armrig_core.rig.description import Description, builtin, read_description
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.service.host.planner import Job, Planner
-from armrig_daemon.service.plan import Plan, decode_run
+from armrig_daemon.service.plan import RunPlan, decode_run
 
 from tests.integration.processes import wait_for
 
@@ -73,19 +73,19 @@ def _is_end(found: object) -> bool:
 @pytest.fixture
 def plans() -> Iterator[Plans]:
     """Give a planner of the arm's runs."""
-    plans = Plans(shipped("arm"))
+    plans = Plans(builtin("arm"))
     yield plans
     plans.close()
 
 
 def _payload(u: Any, **options: Any) -> bytes:
-    return msgspec.json.encode(Run(lease=LEASE, n=1, u=u, **options))
+    return msgspec.json.encode(RunRequest(lease=LEASE, n=1, u=u, **options))
 
 
 def test_a_plan_contains_the_input_and_its_rehearsal(plans: Plans) -> None:
     plan = plans.made(plans.asked(_payload([0.0, 2.5, 5.0], experiment="x")))
 
-    assert isinstance(plan, Plan)
+    assert isinstance(plan, RunPlan)
     assert (plan.samples, plan.source.hex(), plan.options.experiment) == (3, "00000080ffff", "x")
     assert plan.text == b"u_v\n0.0\n2.5\n5.0\n"
     assert plan.rehearsal is not None
@@ -123,7 +123,7 @@ def test_a_process_that_is_killed_is_replaced(plans: Plans) -> None:
         RefusalCode.INTERNAL,
         "the planning process ended with code -9: send the run again",
     )
-    assert isinstance(plans.made(plans.asked(_payload([1.0]))), Plan)
+    assert isinstance(plans.made(plans.asked(_payload([1.0]))), RunPlan)
 
 
 def test_a_cancelled_plan_is_dropped_and_the_next_is_made(plans: Plans) -> None:
@@ -150,7 +150,7 @@ def test_an_input_is_decoded_in_pieces(n: int) -> None:
 def test_an_input_is_refused_as_by_the_schema(u: str) -> None:
     payload = f'{{"lease": "{LEASE}", "n": 1, "u": {u}}}'.encode()
     with pytest.raises(msgspec.DecodeError):
-        msgspec.json.decode(payload, type=Run)
+        msgspec.json.decode(payload, type=RunRequest)
 
     with pytest.raises(ValueError, match="run: "):
         decode_run(payload)

@@ -16,7 +16,7 @@ import zenoh
 from armrig_daemon.service import admission
 from armrig_daemon.service.admission import BURST
 from armrig_daemon.service.listener import Command
-from armrig_daemon.service.publish import Kind, Session
+from armrig_daemon.service.publish import CommandKind, Session
 
 WITHIN_S = 30.0
 SPREAD_S = 0.5
@@ -100,7 +100,9 @@ def test_another_peer_cannot_answer_a_query(session: Session, where: str, mode: 
                 timeout=WITHIN_S,
             )
             commands: list[Command] = []
-            _until(lambda found=commands: found.extend(session.waiting(Kind.STATUS)) or found)
+            _until(
+                lambda found=commands: found.extend(session.waiting(CommandKind.STATUS)) or found
+            )
             for command in commands:
                 command.answer("ours")
             assert [r.ok.payload.to_bytes() for r in replies if r.ok] == [b'"ours"']
@@ -136,7 +138,7 @@ def _answering(session: Session) -> Iterator[Counter[str]]:
 
     def answer() -> None:
         while not ended.wait(0.001):
-            for kind in Kind:
+            for kind in CommandKind:
                 for command in session.waiting(kind):
                     let_in[command.name] += 1
                     command.answer("ours")

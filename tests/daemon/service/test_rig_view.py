@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from armrig_core.commands.commands import OutputRange
 from armrig_core.rig.calibration import Calibration, Made, Potentiometer
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import builtin
 from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.config import ArmSettings, Config, Limits
 from armrig_daemon.pipe import Distribution, State, Timing
@@ -51,7 +51,7 @@ def test_a_status_contains_the_limits_in_force(tmp_path: Path) -> None:
 
     for arm in (ArmSettings(), ArmSettings(removed=True)):
         told.append(RigView(Config(limits=limits, arm=arm), "s", tmp_path).status(None).limits)
-    heater = RigView(Config(), "s", tmp_path, shipped("heater")).status(None).limits
+    heater = RigView(Config(), "s", tmp_path, builtin("heater")).status(None).limits
 
     turns = {"theta_1": OutputRange(turns=3)}
     assert told == [turns | {"alpha": OutputRange(low=-0.5, high=0.5)}, turns]

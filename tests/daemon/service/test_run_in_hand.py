@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 from armrig_core.commands.codes import COMPLETE, GapCode, OutcomeCode
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.recording_file.manifest import OUTCOME, Outcome
 from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
 from armrig_daemon.config import Config
@@ -20,7 +20,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from tests.daemon.service.opened_run import open_run
 
-REQUEST = Run(lease="a" * 32, n=1, u=[1.0] * 10, dead_man=2.0)
+REQUEST = RunRequest(lease="a" * 32, n=1, u=[1.0] * 10, dead_man=2.0)
 STATE = State(t_host_ns=0, phase="active", reason="", owner="a test", ts_us=10_000, device={})
 FIRST, END = 100, 110
 T_NS = 5_000
@@ -63,7 +63,7 @@ def _gap(first: int, count: int) -> Gap:
 def _ended(runs: Runs, expected: str = "info") -> str:
     """End the run; return the sentence on its recording, which has the expected level."""
     runs.end(COMPLETE)
-    level, text = runs.finished(30)
+    level, text = runs.completion_line(30)
     assert level == expected
     return text
 
@@ -82,7 +82,7 @@ def test_a_recording_contains_only_the_samples_of_its_run(runs: Runs) -> None:
     assert [k for k in range(FIRST - 2, END + 2) if runs.includes_sample(k)] == [*range(FIRST, END)]
     runs.end(COMPLETE)
     assert not runs.includes_sample(FIRST)
-    runs.finished(30)
+    runs.completion_line(30)
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_a_completed_run_does_not_watch_its_client(runs: Runs) -> None:
     runs.end(COMPLETE)
 
     assert runs.client_gone_s == inf
-    runs.finished(30)
+    runs.completion_line(30)
 
 
 def test_the_loss_of_a_client_is_reported_once(runs: Runs) -> None:
@@ -161,7 +161,7 @@ def test_a_recording_that_would_fill_the_disk_is_not_begun(
     monkeypatch.setattr(
         "armrig_core.recording_file.recording_part.os.statvfs", lambda _: NEARLY_FULL
     )
-    request = Run(lease="a" * 32, n=1, u=[0.0] * samples)
+    request = RunRequest(lease="a" * 32, n=1, u=[0.0] * samples)
 
     if fits:
         open_run(runs, request, 0.01)
@@ -212,7 +212,7 @@ def test_a_run_is_reported_as_finished_once_its_recording_is_complete(runs: Runs
     runs.end(COMPLETE)
     assert not runs.last.finished
 
-    runs.finished(30)
+    runs.completion_line(30)
 
     assert runs.last.finished
     assert runs.last.recording == str(path.with_suffix(""))

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from armrig_core.commands.codes import OutcomeCode, RefusalCode
-from armrig_core.commands.commands import LastRun, Run
+from armrig_core.commands.commands import LastRun, RunRequest
 from armrig_core.commands.rehearsal import rehearse
 from armrig_daemon.config import ArmSettings, Config, Limits
 from armrig_daemon.service.host.host_facts import check_directory
@@ -16,7 +16,7 @@ from armrig_daemon.service.runs import Runs
 
 from tests.daemon.service.opened_run import open_run
 
-REQUEST = Run(lease="a" * 32, n=1, u=[0.0] * 10 + [4.0] * 90)
+REQUEST = RunRequest(lease="a" * 32, n=1, u=[0.0] * 10 + [4.0] * 90)
 
 
 def _runs(directory: Path, config: Config) -> Runs:
@@ -81,7 +81,7 @@ def test_the_state_of_the_current_recording_is_reported(
     runs._recording = recording
     runs._last = LastRun(run_id="r", recording="", finished=False, samples=0, outcome="")
 
-    ending = runs.disturbed()
+    ending = runs.recording_failure()
     assert (ending.text if ending else "") == disturbed
     if ending is not None:
         code = OutcomeCode.RECORDING if disturbed == error else OutcomeCode.MOVED
@@ -109,7 +109,7 @@ def test_the_state_counts_recordings_that_lost_samples(
     runs._finishing = recording
     runs._last = LastRun(run_id="r", recording="", finished=False, samples=0, outcome="")
 
-    assert runs.finished() == ("error", "the disk did not answer")
+    assert runs.completion_line() == ("error", "the disk did not answer")
     assert runs.has_lost == has_lost
     assert runs.is_idle
     last = runs.last

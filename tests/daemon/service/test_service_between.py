@@ -20,9 +20,18 @@ import msgspec
 import pytest
 from armrig.rig.session import open_session
 from armrig_core.commands.codes import Ending, OutcomeCode, RefusalCode
-from armrig_core.commands.commands import Arm, Disarm, Note, Renew, Run, Set, Stop, refused
-from armrig_core.commands.commands import Calibrate as AskedCalibrate
-from armrig_core.commands.commands import Reset as AskedReset
+from armrig_core.commands.commands import (
+    ArmRequest,
+    DisarmRequest,
+    NoteRequest,
+    Renew,
+    RunRequest,
+    SetRequest,
+    StopRequest,
+    build_refusal,
+)
+from armrig_core.commands.commands import CalibrateRequest as AskedCalibrate
+from armrig_core.commands.commands import ResetRequest as AskedReset
 from armrig_core.process.line_writer import LineWriter
 from armrig_core.recording_file.manifest import CALIBRATION, CALIBRATION_RAW, Manifest
 from armrig_core.recording_file.manifest import RUN as OF_RUN
@@ -33,7 +42,7 @@ from armrig_core.telemetry.history import decode_past
 from armrig_core.telemetry.telemetry import Sample, encode_sample
 from armrig_core.telemetry.topics import command_key
 from armrig_daemon import pipe
-from armrig_daemon.config import Config, Device
+from armrig_daemon.config import Config, DeviceTable
 from armrig_daemon.decisions.orders import BY_HAND, not_newer
 from armrig_daemon.pipe import (
     Alive,
@@ -48,10 +57,10 @@ from armrig_daemon.pipe import (
 )
 from armrig_daemon.service import publish
 from armrig_daemon.service.access import Network
-from armrig_daemon.service.client_watchdog import begun
+from armrig_daemon.service.client_watchdog import begin_watch
 from armrig_daemon.service.host.planner import Job
 from armrig_daemon.service.plan import plan_of
-from armrig_daemon.service.publish import Kind, Session
+from armrig_daemon.service.publish import CommandKind, Session
 from armrig_daemon.service.sentences import line_and_limits
 from armrig_daemon.service.service import Service
 from mcap.reader import make_reader
@@ -64,7 +73,7 @@ from tests.integration.processes import wait_for
 
 LEASE = "a" * 32
 FREE = State(t_host_ns=0, phase="safe", reason="", owner="", ts_us=0, device={})
-RUN = Run(lease=LEASE, n=3, u=[1.0] * 3)
+RUN = RunRequest(lease=LEASE, n=3, u=[1.0] * 3)
 
 
 class _AtOnce(LineWriter):
@@ -188,7 +197,7 @@ def _refusal(replies: Any) -> str:
 def _finished(between: Between) -> Path:
     """Have the run in hand ended; return its recording."""
     between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
-    assert between.service._runs.finished(30)[0] == "info"
+    assert between.service._runs.completion_line(30)[0] == "info"
     last = between.service._runs.last
     assert last is not None
     return Path(last.recording)
@@ -232,7 +241,7 @@ def test_samples_that_come_with_the_end_of_their_run_are_recorded(between: Betwe
     ended = RunEnded(run_id=run_id, outcome="complete", outcome_code=OutcomeCode.COMPLETE)
     between.service._handle([*map(_sample, range(4)), ended, _sample(4)])
 
-    level, text = between.service._runs.finished(30)
+    level, text = between.service._runs.completion_line(30)
     assert (level, text.partition(": ")[2]) == ("info", "complete, 3 samples, 0 missing")
 
 
@@ -250,7 +259,7 @@ def test_a_command_that_exceeds_the_queue_is_refused_at_once(between: Between) -
         between.ask(RUN)
 
     assert _refusal(between.ask(RUN)) == "too many commands are waiting: try again"
-    waiting = list(between.service._session.waiting(Kind.LEASED))
+    waiting = list(between.service._session.waiting(CommandKind.LEASED))
     assert len(waiting) == publish.MAX_WAITING
 
 
@@ -259,31 +268,33 @@ def test_a_recording_that_cannot_be_written_stops_its_run(between: Between) -> N
     Path(between.service._runs.last.recording).unlink()
     orders: list[Any] = []
 
-    wait_for(lambda: between.service._woken() or orders.extend(between.loop.orders()) or orders)
+    wait_for(
+        lambda: between.service._handle_wake() or orders.extend(between.loop.orders()) or orders
+    )
 
     halt = orders[0]
     assert isinstance(halt, pipe.Stop)
     assert "the file was removed during the recording" in halt.reason
     between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
-    between.service._runs.finished(30)
+    between.service._runs.completion_line(30)
 
 
 def test_a_run_is_planned_with_the_sampling_time_of_the_newest_lease(between: Between) -> None:
     _ready(between)
     between.commands._n = 9
-    between.serve(Arm(owner="a test", Ts=0.02))
+    between.serve(ArmRequest(owner="a test", Ts=0.02))
     (granted,) = between.loop.orders()
     assert isinstance(granted, pipe.Arm)
     between.service._handle([Answer(order=granted.order, body={"Ts": 0.02})])
 
-    between.serve(Run(lease=granted.lease, n=1, u=[1.0] * 100))
+    between.serve(RunRequest(lease=granted.lease, n=1, u=[1.0] * 100))
 
     (job,) = between.commands._preparation._planner.jobs
     assert job.Ts == 0.02
 
 
 def test_a_command_number_already_accepted_by_the_loop_is_refused(between: Between) -> None:
-    between.serve(Set(lease=LEASE, n=5, u=0.5))
+    between.serve(SetRequest(lease=LEASE, n=5, u=0.5))
     (order,) = between.loop.orders()
     between.service._handle([Answer(order=order.order, body={"done": True})])
 
@@ -294,11 +305,11 @@ def test_a_command_number_already_accepted_by_the_loop_is_refused(between: Betwe
 
 def test_a_repeated_signal_does_not_delay_the_kill_of_a_frozen_loop(between: Between) -> None:
     signal.raise_signal(signal.SIGTERM)
-    between.service._woken()
+    between.service._handle_wake()
     kill_at_s = between.service._kill_at
 
     signal.raise_signal(signal.SIGTERM)
-    between.service._woken()
+    between.service._handle_wake()
 
     assert between.service._kill_at == kill_at_s < inf
 
@@ -314,7 +325,7 @@ def test_a_loop_that_is_still_starting_has_more_time_to_end(
 
     signal.raise_signal(signal.SIGTERM)
     began_s = time.monotonic()
-    between.service._woken()
+    between.service._handle_wake()
     ended_s = time.monotonic()
 
     assert began_s + within_s <= between.service._kill_at <= ended_s + within_s
@@ -326,7 +337,7 @@ def test_a_queued_sign_of_life_is_read_before_its_client_counts_as_gone(between:
     The sign counts from its arrival, or a client that died meanwhile would count as alive.
     """
     between.begin_run()
-    between.service._runs._presence = begun(msgspec.structs.replace(RUN, dead_man=2.0), 0.0)
+    between.service._runs._presence = begin_watch(msgspec.structs.replace(RUN, dead_man=2.0), 0.0)
     sent_s = time.monotonic()
     between.ask(Renew(lease=LEASE, n=4))
     come_s = time.monotonic()
@@ -337,7 +348,7 @@ def test_a_queued_sign_of_life_is_read_before_its_client_counts_as_gone(between:
     assert sent_s + 2.0 <= between.service._runs.client_gone_s <= come_s + 2.0
     assert not [order for order in between.loop.orders() if isinstance(order, pipe.Stop)]
     between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
-    between.service._runs.finished(30)
+    between.service._runs.completion_line(30)
 
 
 def test_the_service_sends_alive_once_a_second(
@@ -407,13 +418,13 @@ def test_the_clock_offset_of_a_recording_is_measured_at_its_beginning(between: B
 def test_orders_are_forwarded_in_batches_from_a_bounded_queue(between: Between) -> None:
     """R1: between two lots the service looks at the loop; at most 64 orders wait."""
     for n in range(publish.MAX_WAITING):
-        between.ask(Set(lease=LEASE, n=n, u=0.0))
+        between.ask(SetRequest(lease=LEASE, n=n, u=0.0))
 
     lots = []
     for _ in range(5):
         between.commands.serve()
         lots.append(len(between.loop.orders()))
-        between.ask(Set(lease=LEASE, n=100, u=0.0))
+        between.ask(SetRequest(lease=LEASE, n=100, u=0.0))
 
     assert lots == [16, 16, 16, 16, 0]
 
@@ -421,15 +432,15 @@ def test_orders_are_forwarded_in_batches_from_a_bounded_queue(between: Between) 
 @pytest.mark.parametrize(
     ("request_", "order"),
     [
-        (Disarm(lease=LEASE, n=4), pipe.Disarm(order=1, lease=LEASE, n=4)),
-        (Set(lease=LEASE, n=4, u=5.0), pipe.Set(order=1, lease=LEASE, n=4, code=65535)),
-        (Stop(), pipe.Stop(order=1)),
-        (Stop(by="anna"), pipe.Stop(order=1, reason="stopped by anna")),
+        (DisarmRequest(lease=LEASE, n=4), pipe.Disarm(order=1, lease=LEASE, n=4)),
+        (SetRequest(lease=LEASE, n=4, u=5.0), pipe.Set(order=1, lease=LEASE, n=4, code=65535)),
+        (StopRequest(), pipe.Stop(order=1)),
+        (StopRequest(by="anna"), pipe.Stop(order=1, reason="stopped by anna")),
         (
-            Stop(by="\x1b[2J" + 90 * "x"),
+            StopRequest(by="\x1b[2J" + 90 * "x"),
             pipe.Stop(order=1, reason=f"stopped by \\x1b[2J{73 * 'x'}"),
         ),
-        (Stop(by="  "), pipe.Stop(order=1)),
+        (StopRequest(by="  "), pipe.Stop(order=1)),
         (AskedReset(), Reset(order=1)),
     ],
 )
@@ -527,12 +538,12 @@ def test_at_most_one_calibration_is_pending(between: Between) -> None:
     refused = between.ask(ASKED)
 
     assert b"too many commands are waiting: try again" in next(iter(refused)).err.payload.to_bytes()
-    assert len(list(between.service._session.waiting(Kind.CALIBRATE))) == 1
+    assert len(list(between.service._session.waiting(CommandKind.CALIBRATE))) == 1
 
 
 DRIVEN = msgspec.structs.replace(FREE, phase="active", owner="a test")
 HELD = msgspec.structs.replace(FREE, owner="Ada", line="no rig")
-OVERSAMPLED = Config(device=Device(oversampling=30))
+OVERSAMPLED = Config(device=DeviceTable(oversampling=30))
 TOO_SHORT = "Ts=0.005 s cannot be carried at 500000 baud in scheduled mode with [device]"
 SILENT = msgspec.structs.replace(FREE, line="no answer; check the cable")
 
@@ -541,14 +552,34 @@ SILENT = msgspec.structs.replace(FREE, line="no answer; check the cable")
     ("config", "state", "request_", "refusal"),
     [
         (Config(), DRIVEN, RUN, BY_HAND),
-        (Config(), HELD, Arm(owner="Bob"), "Ada has the rig: wait until it is free"),
-        (Config(), SILENT, Arm(owner="Bob"), "/dev/armrig: no answer; check the cable"),
-        (OVERSAMPLED, FREE, Arm(owner="Ada", Ts=0.005), f"{TOO_SHORT} oversampling = 30: at least"),
-        (CONFIG, FREE, Arm(owner="Ada", Ts=0.0011), "Ts=0.0011 s cannot be carried at 250000 baud"),
-        (CONFIG, FREE, Arm(owner="Ada", Ts=0.0020005), "Ts=0.0020005 must be a whole number of mi"),
-        (CONFIG, FREE, Set(lease=LEASE, n=1, u=4.41), "u[0]=4.41 V is outside 0.2 … 4.4 V"),
-        (CONFIG, FREE, Set(lease=LEASE, n=1, u=0.0), "u[0]=0 V is outside 0.2 … 4.4 V"),
-        (CONFIG, FREE, Run(lease=LEASE, n=1, u=[1.0, 4.1]), "u[1] steps by 3.1 V: at most 3 V in"),
+        (Config(), HELD, ArmRequest(owner="Bob"), "Ada has the rig: wait until it is free"),
+        (Config(), SILENT, ArmRequest(owner="Bob"), "/dev/armrig: no answer; check the cable"),
+        (
+            OVERSAMPLED,
+            FREE,
+            ArmRequest(owner="Ada", Ts=0.005),
+            f"{TOO_SHORT} oversampling = 30: at least",
+        ),
+        (
+            CONFIG,
+            FREE,
+            ArmRequest(owner="Ada", Ts=0.0011),
+            "Ts=0.0011 s cannot be carried at 250000 baud",
+        ),
+        (
+            CONFIG,
+            FREE,
+            ArmRequest(owner="Ada", Ts=0.0020005),
+            "Ts=0.0020005 must be a whole number of mi",
+        ),
+        (CONFIG, FREE, SetRequest(lease=LEASE, n=1, u=4.41), "u[0]=4.41 V is outside 0.2 … 4.4 V"),
+        (CONFIG, FREE, SetRequest(lease=LEASE, n=1, u=0.0), "u[0]=0 V is outside 0.2 … 4.4 V"),
+        (
+            CONFIG,
+            FREE,
+            RunRequest(lease=LEASE, n=1, u=[1.0, 4.1]),
+            "u[1] steps by 3.1 V: at most 3 V in",
+        ),
     ],
 )
 def test_a_command_forbidden_by_state_or_limits_is_refused_by_the_service(
@@ -566,8 +597,8 @@ def test_a_command_forbidden_by_state_or_limits_is_refused_by_the_service(
 
 def test_the_slew_limit_of_runs_does_not_apply_to_a_manual_voltage(narrow: Between) -> None:
     _ready(narrow)
-    narrow.serve(Set(lease=LEASE, n=4, u=4.4))
-    narrow.serve(Arm(owner="Ada", Ts=0.002))
+    narrow.serve(SetRequest(lease=LEASE, n=4, u=4.4))
+    narrow.serve(ArmRequest(owner="Ada", Ts=0.002))
 
     held, taken = narrow.loop.orders()
     assert isinstance(held, pipe.Set)
@@ -582,7 +613,7 @@ def test_a_note_is_recorded_as_a_field_and_not_sent_to_the_loop(
     """S5: each is written with its author and time, also if two have one text."""
     between.begin_run()
     before_ns = time.monotonic_ns()
-    replies = [between.ask(Note(text="note 1: *touched*", owner="Ada")) for _ in range(2)]
+    replies = [between.ask(NoteRequest(text="note 1: *touched*", owner="Ada")) for _ in range(2)]
     came_ns = time.monotonic_ns()
 
     between.commands.serve()
@@ -606,7 +637,7 @@ def test_a_note_is_recorded_as_a_field_and_not_sent_to_the_loop(
 def test_the_reply_to_a_note_outside_a_run_reports_that_it_is_not_recorded(
     between: Between,
 ) -> None:
-    replies = between.serve(Note(text="the belt was changed"))
+    replies = between.serve(NoteRequest(text="the belt was changed"))
 
     answer = next(iter(replies)).ok
     assert answer is not None
@@ -622,11 +653,11 @@ def test_notes_are_limited_to_a_burst_of_twenty_and_two_per_second(
     """R1: the others are refused for the moment."""
     now_s = time.monotonic()
     monkeypatch.setattr("armrig_daemon.service.commands.time.monotonic", lambda: now_s)
-    asked = [between.ask(Note(text=f"{i}")) for i in range(21)]
+    asked = [between.ask(NoteRequest(text=f"{i}")) for i in range(21)]
     for _ in range(2):
         between.commands.serve()
     now_s += 0.5
-    asked += [between.ask(Note(text="later")) for _ in range(2)]
+    asked += [between.ask(NoteRequest(text="later")) for _ in range(2)]
 
     between.commands.serve()
 
@@ -690,7 +721,7 @@ def test_a_delayed_log_line_is_recorded_before_the_end_of_its_run(between: Betwe
 
     between.service._handle([*lines, ended])
 
-    assert between.service._runs.finished(30)[0] == "info"
+    assert between.service._runs.completion_line(30)[0] == "info"
     last = between.service._runs.last
     assert last is not None
     with Path(last.recording).open("rb") as file:
@@ -727,7 +758,7 @@ def _tried(between: Between, request: Any, by: str = "") -> _Asked:
 def test_a_lease_used_by_another_client_is_refused(between: Between) -> None:
     """Over a network, the lease alone does not make a client the holder."""
     _ready(between)
-    arming = _tried(between, Arm(owner="Ada"), "certificate ada")
+    arming = _tried(between, ArmRequest(owner="Ada"), "certificate ada")
     (arm,) = between.loop.orders()
     assert isinstance(arm, pipe.Arm)
     assert (arm.owner, arm.owner_checked) == ("Ada (certificate ada)", "certificate ada")
@@ -735,7 +766,7 @@ def test_a_lease_used_by_another_client_is_refused(between: Between) -> None:
 
     soon_ns = arming.told["now_ns"] + 10**10
     asked = [
-        _tried(between, Set(lease=arm.lease, n=n, u=1.0, valid_until_ns=soon_ns), by)
+        _tried(between, SetRequest(lease=arm.lease, n=n, u=1.0, valid_until_ns=soon_ns), by)
         for n, by in enumerate(("", "certificate bob", "certificate ada"))
     ]
 
@@ -749,10 +780,10 @@ def test_the_last_places_for_unanswered_orders_are_reserved_for_the_holder(
     between: Between, pending: int
 ) -> None:
     for n in range(pending):
-        _tried(between, Set(lease=LEASE, n=n, u=0.0))
+        _tried(between, SetRequest(lease=LEASE, n=n, u=0.0))
 
     reset = _tried(between, AskedReset())
-    disarm = _tried(between, Disarm(lease=LEASE, n=pending))
+    disarm = _tried(between, DisarmRequest(lease=LEASE, n=pending))
 
     assert (reset.told, disarm.told) == (RefusalCode.TOO_MANY if pending > 15 else None, None)
     assert len(between.loop.orders()) == 17
@@ -762,10 +793,10 @@ def test_an_arming_that_finds_no_place_after_the_look_at_the_disk_is_refused(
     between: Between,
 ) -> None:
     _ready(between)
-    arming = _Asked(Arm(owner="Ada"), "")
+    arming = _Asked(ArmRequest(owner="Ada"), "")
     between.commands._try(arming)  # type: ignore[arg-type]
     for n in range(16):
-        between.commands._try(_Asked(Set(lease=LEASE, n=n, u=0.0), ""))  # type: ignore[arg-type]
+        between.commands._try(_Asked(SetRequest(lease=LEASE, n=n, u=0.0), ""))  # type: ignore[arg-type]
 
     between.handle()
 
@@ -774,7 +805,7 @@ def test_an_arming_that_finds_no_place_after_the_look_at_the_disk_is_refused(
 
 def test_a_command_is_refused_three_seconds_after_its_arrival(between: Between) -> None:
     before_s = time.monotonic()
-    asked = _tried(between, Disarm(lease=LEASE, n=4))
+    asked = _tried(between, DisarmRequest(lease=LEASE, n=4))
     told = []
     for now_s in (before_s + 3.0, time.monotonic() + 3.001):
         between.commands.refuse_overdue(now_s)
@@ -786,11 +817,16 @@ def test_a_command_is_refused_three_seconds_after_its_arrival(between: Between) 
 @pytest.mark.parametrize(
     ("request_", "by", "line", "fields"),
     [
-        (Stop(by="anna"), "user eve", "stop: by anna (user eve)", ["stopped by anna (user eve)"]),
-        (Stop(), "", "stop: by somebody on this machine", ["stopped"]),
-        (Disarm(lease=LEASE, n=4), "", "disarm: by somebody on this machine", [""]),
+        (
+            StopRequest(by="anna"),
+            "user eve",
+            "stop: by anna (user eve)",
+            ["stopped by anna (user eve)"],
+        ),
+        (StopRequest(), "", "stop: by somebody on this machine", ["stopped"]),
+        (DisarmRequest(lease=LEASE, n=4), "", "disarm: by somebody on this machine", [""]),
         (AskedReset(fault="", valid_until_ns=2**61), "user eve", "reset: by user eve", [""]),
-        (Set(lease=LEASE, n=4, u=1.0), "", "", []),
+        (SetRequest(lease=LEASE, n=4, u=1.0), "", "", []),
     ],
 )
 def test_the_log_names_the_client_of_each_command(
@@ -858,7 +894,9 @@ def test_the_state_is_published_each_second_with_the_time(between: Between) -> N
     def states() -> list[Any]:
         past = decode_past(between.service._session._past(0, 0))
         return [
-            protobuf.decoded(protobuf.STATE, data) for of, data in past.messages if of == "state"
+            protobuf.decode_message(protobuf.STATE, data)
+            for of, data in past.messages
+            if of == "state"
         ]
 
     between.pass_a_second()
@@ -908,7 +946,7 @@ def test_the_service_logs_its_endpoints_clients_and_faults_at_its_start(
     )
     narrow.service._notifier = SimpleNamespace(is_asked=not is_well)
     if not is_well:
-        full = refused(RefusalCode.NO_ROOM, "the disk is full")
+        full = build_refusal(RefusalCode.NO_ROOM, "the disk is full")
         narrow.service._runs.no_room = lambda: full
     ways = [_network("tls/0.0.0.0:7447"), _network("tls/lab:7447", is_router=True)]
 
@@ -936,9 +974,9 @@ def test_a_stop_precedes_all_queued_commands(between: Between) -> None:
     """The others keep their order: the holder's orders, then those of everybody."""
     for request in (
         AskedReset(),
-        Set(lease=LEASE, n=4, u=1.0),
-        Disarm(lease=LEASE, n=5),
-        Stop(by="anna"),
+        SetRequest(lease=LEASE, n=4, u=1.0),
+        DisarmRequest(lease=LEASE, n=5),
+        StopRequest(by="anna"),
     ):
         between.ask(request)
 
@@ -968,7 +1006,7 @@ def test_a_report_of_another_thread_is_logged_with_its_level(between: Between) -
     between.service._say = lambda *line, **of: said.append((line, of))
 
     between.service._say_finished(30)
-    between.service._woken()
+    between.service._handle_wake()
 
     (finished, fields), *others = said
     assert finished[0] == "info"
@@ -1000,7 +1038,7 @@ def test_a_command_that_arrives_during_a_wakeup_wakes_the_service_again(between:
 
     signals.wake()
     signals._reader = SimpleNamespace(recv=interrupted)
-    between.service._woken()
+    between.service._handle_wake()
     signals._reader = reader
     signals.wake()
 

@@ -13,7 +13,7 @@ import pytest
 from armrig_core.errors import InputError
 from armrig_core.process.line_writer import LineWriter
 from armrig_daemon.config import Config
-from armrig_daemon.loop.process import NO_PORT, Settings
+from armrig_daemon.loop.process import NO_PORT, LoopSettings
 from armrig_daemon.pipe import Quit
 from armrig_daemon.service import service as service_module
 from armrig_daemon.service.service import Service
@@ -48,7 +48,7 @@ def test_the_loop_is_started_with_the_options_of_the_configuration(
         timing=replace(CONFIG.timing, priority=33, cpu=2, spin_us=77.5),
     )
 
-    def start(settings: Settings, _: int) -> None:
+    def start(settings: LoopSettings, _: int) -> None:
         raise _Started(settings)
 
     monkeypatch.setattr(service_module.child, "start", start)
@@ -58,7 +58,7 @@ def test_the_loop_is_started_with_the_options_of_the_configuration(
     service._signals.close()
 
     assert started.value.args == (
-        Settings(
+        LoopSettings(
             rules=replace(config.rules(), service_ns=3_000_000_000),
             port="/dev/odd",
             baud=250_000,
@@ -117,7 +117,7 @@ def _hung_up(between: Between) -> list[Any]:
     """Send SIGHUP to the service; return its orders to end the loop."""
     between.loop.orders()
     signal.raise_signal(signal.SIGHUP)
-    between.service._woken()
+    between.service._handle_wake()
     wait_for(lambda: between.service._disk.hand_back() or not between.service._disk.waiting)
     return [order for order in between.loop.orders() if isinstance(order, Quit)]
 

@@ -12,7 +12,7 @@ import pytest
 from armrig_core.recording_file.manifest import Outcome
 from armrig_core.recording_file.opening import lock
 from armrig_core.recording_file.rewriting import Rewriter
-from armrig_daemon.config import Recording
+from armrig_daemon.config import RecordingTable
 from armrig_daemon.service.host.startup_recovery import StartupRecovery
 
 from tests.clients.made_recordings import manifest, recorded, sample, written
@@ -143,7 +143,7 @@ def test_the_oldest_runs_are_removed_if_the_total_size_exceeds_its_limit(tmp_pat
         os.utime(path, (ended_s, ended_s))
     said = threading.Event()
     most_gb = 2.5 * len(ended) / 1e9
-    left_over = StartupRecovery(tmp_path, "1", said.set, Recording(keep_gb=most_gb))
+    left_over = StartupRecovery(tmp_path, "1", said.set, RecordingTable(keep_gb=most_gb))
 
     left_over.start()
 

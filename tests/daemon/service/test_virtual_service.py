@@ -8,16 +8,18 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import RunRequest
 from armrig_core.errors import OperationError
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.service.virtual_service import LEASE, VirtualService, requests_of
 from msgspec.structs import replace
 
-REQUEST = Run(lease=LEASE, n=0, u=[0.0, *np.linspace(0.5, 4.5, 149)], experiment="ramp")
+REQUEST = RunRequest(lease=LEASE, n=0, u=[0.0, *np.linspace(0.5, 4.5, 149)], experiment="ramp")
 
 
-def _recorded(folder: Path, seed: int, *requests: Run, config: Config | None = None) -> list[Path]:
+def _recorded(
+    folder: Path, seed: int, *requests: RunRequest, config: Config | None = None
+) -> list[Path]:
     service = VirtualService(config or Config(), folder, seed=seed)
     return [service.record(request) for request in requests]
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from armrig_core.errors import FileError, InputError
-from armrig_core.process.imports import imported
+from armrig_core.process.imports import load_extra
 
 from armrig.data.files.mat_variables import EMPTY, StructureArray, Unread, Value, variables
 from armrig.data.files.table import (
@@ -40,7 +40,7 @@ _TIMES = ("timestamp", "duration")
 
 
 @dataclass(frozen=True, slots=True)
-class _Contents:
+class _NamedArrays:
     """Arrays of a file by their names, and facts about them."""
 
     arrays: dict[str, Any] = field(default_factory=dict)
@@ -103,8 +103,8 @@ def _seconds(times: Any) -> Vector:
     """Return datetime64 or timedelta64 as seconds from the earliest time; NaN if missing."""
     if np.datetime_data(times.dtype)[0] in "YM":  # no fixed number of seconds
         times = times.astype("M8[D]")
-    known = times[~np.isnat(times)]
-    elapsed = times - (known.min() if known.size else times[:1])  # exact
+    valid_times = times[~np.isnat(times)]
+    elapsed = times - (valid_times.min() if valid_times.size else times[:1])  # exact
     return np.asarray(elapsed / np.timedelta64(1, "s"), np.float64)
 
 
@@ -114,7 +114,7 @@ def _seconds(times: Any) -> Vector:
 
 def read_mat(data: bytes) -> Table:
     """Return the columns of a MAT-file of version 4 to 7."""
-    contents = _Contents()
+    contents = _NamedArrays()
     for name, value in variables(data):
         _sort(name, value, contents)
     arrays, units = contents.arrays, contents.units
@@ -132,7 +132,7 @@ def _are_equal(arrays: Sequence[Any]) -> bool:
     return all(np.array_equal(np.ravel(arrays[0]), np.ravel(x)) for x in arrays)
 
 
-def _sort(name: str, value: Value, contents: _Contents, units: Sequence[str] = ()) -> None:
+def _sort(name: str, value: Value, contents: _NamedArrays, units: Sequence[str] = ()) -> None:
     """Add a variable, or the fields of a structure, to the arrays or to the refused names."""
     value = _only(value)
     if isinstance(value, dict) or _are_channels(value):
@@ -141,12 +141,12 @@ def _sort(name: str, value: Value, contents: _Contents, units: Sequence[str] = (
             _sort(f"{name}.{key}".rstrip("."), inner, contents, units_of)
     elif isinstance(value, list):
         are = isinstance(value, StructureArray)
-        what = (
+        kind = (
             f"an array of {plural(len(value), 'structure')}"
             if are
             else f"a cell of {plural(len(value), 'value')}"
         )
-        contents.refused[name] = f"is {what}; save one of them"
+        contents.refused[name] = f"is {kind}; save one of them"
     elif isinstance(value, str):
         contents.refused[name] = NO_NUMBERS
     elif isinstance(value, Unread):
@@ -171,7 +171,9 @@ def _as_list(value: Value) -> list[Value]:
     return value if isinstance(value, list) else [value]
 
 
-def _fields(structure: dict[str, Value], contents: _Contents) -> Iterator[tuple[str, Value, Any]]:
+def _fields(
+    structure: dict[str, Value], contents: _NamedArrays
+) -> Iterator[tuple[str, Value, Any]]:
     """Iterate over the names, values and units of the columns of a structure."""
     times, signals, X, Y = map(structure.get, ("time", "signals", "X", "Y"))
     if times is not None and _are_channels(_as_list(signals), named=False):
@@ -251,14 +253,14 @@ def _in_seconds(structure: dict[str, Value], notes: list[str]) -> dict[str, Valu
         if isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and value.size:
             clock[name] = value.astype(np.float64) * seconds / ticks
             if ticks != seconds:
-                what = f"Ts = {value.item():g}" if value.size == 1 else "times in"
-                notes.append(f"{what} {unit}, by TimeUnit")
+                subject = f"Ts = {value.item():g}" if value.size == 1 else "times in"
+                notes.append(f"{subject} {unit}, by TimeUnit")
     return structure | clock
 
 
 def read_npz(data: bytes) -> Table:
     """Return the columns of an .npz; pickled objects are not loaded."""
-    contents = _Contents()
+    contents = _NamedArrays()
     with np.load(BytesIO(data), allow_pickle=False) as archive:
         members = [m for m in archive.zip.infolist() if m.filename.endswith(".npy")]
         require_room(sum(member.file_size for member in members), len(data))
@@ -279,7 +281,7 @@ def read_npz(data: bytes) -> Table:
 
 def read_parquet(data: bytes) -> Table:
     """Return the columns of a Parquet file; time stamps are in s from the first time."""
-    file = imported("pyarrow.parquet", "parquet").ParquetFile(BytesIO(data))
+    file = load_extra("pyarrow.parquet", "parquet").ParquetFile(BytesIO(data))
     kinds = {field.name: str(field.type) for field in file.schema_arrow}
     if len(kinds) < len(file.schema_arrow):
         raise FileError("two of its columns have the same name; rename one of them")

@@ -39,7 +39,7 @@ _GROUP = 3  # digits
 _LARGE = 100.0  # whole numbers from here on, without a mark, may lie below grouped thousands
 
 
-class Kind(Enum):
+class CellKind(Enum):
     """Kind of the content of a cell."""
 
     MISSING = auto()
@@ -72,20 +72,20 @@ def quantity(cell: str) -> tuple[str, str]:
     return (parts["number"], parts["unit"].strip()) if parts else (cell, "")
 
 
-def kind(cell: str) -> Kind:
+def kind(cell: str) -> CellKind:
     """Return the kind of the content of a cell."""
     text = cell.strip()
     if is_missing(text):
-        return Kind.MISSING
+        return CellKind.MISSING
     if _LETTERS.fullmatch(text) and text.casefold() not in _NOT_WORDS:
-        return Kind.WORD  # first, because a line may have thousands of words
+        return CellKind.WORD  # first, because a line may have thousands of words
     if number(text, "") is not None or _PLAIN_NUMBER.fullmatch(text):
-        return Kind.NUMBER
+        return CellKind.NUMBER
     if text.casefold() in SWITCH:
-        return Kind.SWITCH
+        return CellKind.SWITCH
     if _TIME.fullmatch(text):
-        return Kind.TIME
-    return Kind.QUANTITY if _QUANTITY.fullmatch(text) else Kind.WORD
+        return CellKind.TIME
+    return CellKind.QUANTITY if _QUANTITY.fullmatch(text) else CellKind.WORD
 
 
 # ---- decimal marks
@@ -122,32 +122,30 @@ def mark_of(column: Iterable[str], of_file: Callable[[], set[str]], *, mixed: bo
     then contain both marks, as in a merged file, and the result is "".
     """
     cells = {_plain(cell) for cell in set(column)}
-    found = {cell: _mark(cell) for cell in cells}
-    doubtful = {mark for mark, is_sure in found.values() if not is_sure}
-    proved = proved_marks(cells)
+    marks = {cell: _mark(cell) for cell in cells}
+    doubtful = {mark for mark, is_sure in marks.values() if not is_sure}
+    proved = sure_marks(cells)
     if len(proved) == 1 or not doubtful:
         return proved.pop() if len(proved) == 1 else "" if mixed and proved else "."
     if proved:
         return None
     if len(proved := of_file()) == 1:
         return next(iter(proved))
-    plain = [cell for cell in cells if found[cell][1] and cell.casefold() not in _MISSING]
+    plain = [cell for cell in cells if marks[cell][1] and cell.casefold() not in _MISSING]
     if "," in doubtful or (mixed and not plain):
         return None
-    whole = [abs(float(cell)) for cell in plain if cell.lstrip("+-").isdecimal()]
-    return None if whole and _LARGE <= max(whole) < 10**_GROUP else "."
+    numbers = [abs(float(cell)) for cell in plain if cell.lstrip("+-").isdecimal()]
+    return None if numbers and _LARGE <= max(numbers) < 10**_GROUP else "."
 
 
-def proved_marks(cells: Iterable[str]) -> set[str]:
+def sure_marks(cells: Iterable[str]) -> set[str]:
     """Return the decimal marks that cells prove."""
     return {mark for mark, is_sure in map(_mark, map(_plain, cells)) if is_sure} - {""}
 
 
 def contradicts(column: Iterable[str], mark: str) -> int | None:
     """Return the index of the first cell that proves another decimal mark; None if none does."""
-    return next(
-        (k for k, cell in enumerate(column) if proved_marks([cell]) == {_OTHER[mark]}), None
-    )
+    return next((k for k, cell in enumerate(column) if sure_marks([cell]) == {_OTHER[mark]}), None)
 
 
 def doubtful_cell(column: Sequence[str]) -> tuple[int, str]:
@@ -171,6 +169,6 @@ def _mark(cell: str) -> tuple[str, bool]:
         return "", True
     if cell.count(mark) > 1:
         return (_OTHER[mark] if _GROUPED[mark].fullmatch(cell) else ""), True
-    whole = parts["whole"]
-    can_be_grouped = whole.isdecimal() and whole[0] != "0" and len(whole) <= _GROUP
+    integer = parts["whole"]
+    can_be_grouped = integer.isdecimal() and integer[0] != "0" and len(integer) <= _GROUP
     return mark, bool(parts["power"]) or len(parts["part"]) != _GROUP or not can_be_grouped

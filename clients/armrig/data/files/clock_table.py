@@ -100,11 +100,11 @@ def sizes_of(table: Table) -> list[int]:
     return [len(column) for column in table.values]
 
 
-def index_of(table: Table, wanted: str, what: str) -> int | None:
+def index_of(table: Table, wanted: str, option: str) -> int | None:
     """Return the index of a column, or of the first column of a matrix; None if there is none."""
     for name in (wanted, f"{wanted}:1"):
         with suppress(FileError):
-            return choose(table, name, what)
+            return choose(table, name, option)
     return None
 
 
@@ -124,14 +124,16 @@ def names_of(table: Table, columns: Sequence[int]) -> str:
     """Return the names of columns for a message."""
     names = [shorten(table.columns[i].name) or f"column {i + 1}" for i in columns]
     more = names[_MAX_LISTED - 1 :] if len(names) > _MAX_LISTED else []
-    return quantities.listed([*names[: _MAX_LISTED - 1], f"{len(more)} more"] if more else names)
+    return quantities.join_names(
+        [*names[: _MAX_LISTED - 1], f"{len(more)} more"] if more else names
+    )
 
 
 # ---- values of one clock at the times of another
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Clock:
+class TableClock:
     """Times, and the columns that have a value at each of them."""
 
     at: int
@@ -154,7 +156,7 @@ class Clock:
         return begin + float(t.min()), begin + float(t.max())
 
 
-def _usual(clock: Clock) -> float:
+def _usual(clock: TableClock) -> float:
     t = clock.times.t
     return float(np.median(np.abs(np.diff(t)))) if t.size > 1 else 0.0
 
@@ -165,7 +167,7 @@ def are_near(d: Vector, share: float) -> bool:
     return bool(usual and np.mean(np.abs(d - usual) <= share * abs(usual)) >= _MIN_REGULAR)
 
 
-def are_same(a: Clock, b: Clock) -> bool:
+def are_same(a: TableClock, b: TableClock) -> bool:
     """Return whether two clocks have the same rows, perhaps in another unit."""
     if not np.array_equal(a.rows, b.rows):
         return False
@@ -183,13 +185,13 @@ def are_same(a: Clock, b: Clock) -> bool:
     return bool(abs(slope - 1) <= _MAX_DRIFT and apart <= _usual(a))
 
 
-def _rounding(a: Clock, b: Clock) -> float:
+def _rounding(a: TableClock, b: TableClock) -> float:
     """Return the largest difference, in s, of equal times."""
     largest = max(abs(a.times.begin), abs(b.times.begin))
     return _ROUNDING * _usual(a) + 2 * float(np.spacing(largest))
 
 
-def _overlap(a: Clock, b: Clock) -> bool:
+def _overlap(a: TableClock, b: TableClock) -> bool:
     """Return whether the records overlap by at least half of the shorter one."""
     (first, last), (other, end) = a.span, b.span
     shared = min(last, end) - max(first, other)
@@ -197,8 +199,8 @@ def _overlap(a: Clock, b: Clock) -> bool:
 
 
 def on_master(
-    table: Table, clocks: Sequence[Clock], of_y: int | None, of_time: int | None
-) -> tuple[ClockTable | None, Clock]:
+    table: Table, clocks: Sequence[TableClock], of_y: int | None, of_time: int | None
+) -> tuple[ClockTable | None, TableClock]:
     """Return the table at the times of one clock, and this clock; None if all are the same.
 
     The master is the clock of the column `of_time`, or else that of the output. The other columns
@@ -211,7 +213,7 @@ def on_master(
     if master.at != of_time and of_y not in master.columns:
         groups = [names_of(table, clock.columns) for clock in clocks]
         raise ReadingError(
-            f"it has several clocks, those of {quantities.listed(groups)}: "
+            f"it has several clocks, those of {quantities.join_names(groups)}: "
             f"{remedy(table, 'signal')}, the output to whose times the other columns are held",
             "--signal NAME",
         )
@@ -241,7 +243,9 @@ def on_master(
     return replace(view, sources=sources, faults=faults, notes=[*notes, *view.notes]), master
 
 
-def _newest_rows(master: Clock, other: Clock, columns: str, signal: str) -> tuple[Rows, str]:
+def _newest_rows(
+    master: TableClock, other: TableClock, columns: str, signal: str
+) -> tuple[Rows, str]:
     """Return the row of another clock at each time of a master, -1 for none, and facts.
 
     Raises FileError if the two clocks cannot be compared.

@@ -14,8 +14,8 @@ from armrig_core.errors import FileError
 from armrig.data.files.clock_table import (
     EVEN,
     NEAR,
-    Clock,
     ClockTable,
+    TableClock,
     are_near,
     few_rows,
     index_of,
@@ -103,7 +103,7 @@ def _on_one_column(table: Table, of_y: int | None, of_time: int | None) -> tuple
         for i, c in enumerate(table.columns)
     ]
     plain = replace(table, columns=columns) if columns != table.columns else table
-    clocks = dict[int, Clock]()
+    clocks = dict[int, TableClock]()
     for at, label in labels.items() if len(labels) > 1 else ():
         heading = table.columns[at].name + f" ({label})" * (columns[at] != table.columns[at])
         clock = _clock(plain, at, label, shorten(heading) or f"column {at + 1}")
@@ -158,17 +158,17 @@ def _labels(table: Table, of_y: int | None, of_time: int | None) -> dict[int, st
     return labels if any(names) or len(names) > _MIN_ROWS else {}
 
 
-def _clock(table: Table, at: int, label: str = "", name: str = "") -> Clock | None:
+def _clock(table: Table, at: int, label: str = "", name: str = "") -> TableClock | None:
     """Return the times of a column with the rows that have one; None for words."""
     with suppress(FileError):
         if (has_time := rows_with_value(table, at, words=True)) is not None:
             rows = np.flatnonzero(has_time)
             times = times_of(table if has_time.all() else rows_of(table, rows), at)
-            return Clock(at=at, name=name, label=label, rows=rows, times=times)
+            return TableClock(at=at, name=name, label=label, rows=rows, times=times)
     return None
 
 
-def _is_clock(table: Table, clock: Clock) -> bool:
+def _is_clock(table: Table, clock: TableClock) -> bool:
     """Return whether times are in order; a signal may have a name as of times."""
     column, d = table.columns[clock.at], np.diff(clock.times.t)
     names = {c.name.casefold() for c in table.columns}
@@ -178,8 +178,8 @@ def _is_clock(table: Table, clock: Clock) -> bool:
 
 
 def _owners(
-    table: Table, clocks: Mapping[int, Clock], of_y: int | None, of_time: int | None
-) -> list[Clock]:
+    table: Table, clocks: Mapping[int, TableClock], of_y: int | None, of_time: int | None
+) -> list[TableClock]:
     """Return the clocks with the columns of numbers that belong to each; [] without two.
 
     They are those that its label names, or those at its right, or, if the last column contains
@@ -248,7 +248,7 @@ def _in_order(table: Table, of_y: int | None, named: Sequence[int], *, is_sure: 
     return rows_of(table, clock.rows[order], note)
 
 
-def _sparse_clocks(table: Table, of_y: int | None, named: Sequence[int]) -> list[Clock]:
+def _sparse_clocks(table: Table, of_y: int | None, named: Sequence[int]) -> list[TableClock]:
     """Return the clocks of columns that have their values in other rows than the output.
 
     A column that is written only where it changes has values in rows of the output, and stays.
@@ -267,11 +267,11 @@ def _sparse_clocks(table: Table, of_y: int | None, named: Sequence[int]) -> list
     is_even = are_near(np.diff(t), EVEN)
     apart = [i for i, x in masks.items() if x.size == N and _are_apart(x, masks[y], is_even)]
     name = names_of(table, named[:1]) if named else "the rows"
-    clocks = list[Clock]()
+    clocks = list[TableClock]()
     for i in (y, *apart):
         view = rows_of(table, rows := np.flatnonzero(masks[i]))
         times = Times(t=t[rows], resolution=0.0, name=name, place=view.place)
-        clocks.append(Clock(at=-1, name=name, label="", rows=rows, times=times, columns=[i]))
+        clocks.append(TableClock(at=-1, name=name, label="", rows=rows, times=times, columns=[i]))
     return clocks
 
 
@@ -310,7 +310,7 @@ def _join(tables: Sequence[tuple[str, Table]], output: str | None, time: str | N
     of_y = index_of(joined, output or "y", "signal") or None
     view, master = on_master(joined, clocks, of_y, None)
     if view is None:
-        files = quantities.listed([file for file, _ in tables])
+        files = quantities.join_names([file for file, _ in tables])
         view = rows_of(joined, master.rows, f"the rows of {files} have equal times")
     if view.faults:
         raise FileError(next(iter(view.faults.values())))
@@ -324,7 +324,7 @@ def _join(tables: Sequence[tuple[str, Table]], output: str | None, time: str | N
     )
 
 
-def _file_clock(at: int, file: str, table: Table, time: str | None) -> Clock:
+def _file_clock(at: int, file: str, table: Table, time: str | None) -> TableClock:
     """Return the clock of a file's rows, with all columns but the times."""
     of_time = None if time is None else index_of(table, time, "time")
     named = time_columns(table) if of_time is None else [of_time]
@@ -351,4 +351,6 @@ def _file_clock(at: int, file: str, table: Table, time: str | None) -> Clock:
         if size == times.t.size and i not in named and not is_time(table.columns[i])
     ]
     rows = np.arange(times.t.size)
-    return Clock(at=at, name=shorten(name), label=file, rows=rows, times=times, columns=columns)
+    return TableClock(
+        at=at, name=shorten(name), label=file, rows=rows, times=times, columns=columns
+    )

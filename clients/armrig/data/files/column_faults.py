@@ -41,11 +41,11 @@ def treat_faults(
     y: Vector, name: str, *, mask_rails: bool, unwrap: float | None
 ) -> tuple[Vector, list[str]]:
     """Return a column without the faults that the options name, and notes on all its faults."""
-    known = y[np.isfinite(y)]
-    wrap = _modulus_of(known) if unwrap is None else None
+    finite = y[np.isfinite(y)]
+    wrap = _modulus_of(finite) if unwrap is None else None
     if wrap is not None:
         modulus, is_usual = wrap
-        jumps = int(np.count_nonzero(np.abs(np.diff(known)) > _MIN_JUMP * modulus))
+        jumps = int(np.count_nonzero(np.abs(np.diff(finite)) > _MIN_JUMP * modulus))
         way = f"{modulus:.6g}" if is_usual else "with the range of the counter"
         text = (
             f"{name} jumps by {'' if is_usual else 'about '}{modulus:.6g} at "
@@ -54,7 +54,7 @@ def treat_faults(
         return y, [Step(text, DOUBT)]
     notes = []
     if unwrap is not None:
-        turns = _turns(known, unwrap)
+        turns = _turns(finite, unwrap)
         y = y.copy()
         y[np.isfinite(y)] -= unwrap * turns
         jumps = int(np.count_nonzero(np.diff(turns)))
@@ -80,7 +80,7 @@ def rows_of_each_value(x: Vector) -> int:
     return rows if 1 < rows <= _MAX_HELD and np.unique(x[at]).size > _MIN_HELD_VALUES else 1
 
 
-def held_notes(x: Vector, name: str) -> list[str]:
+def repetition_notes(x: Vector, name: str) -> list[str]:
     """Return a note if every value stays for the same number of rows, or a multiple of it."""
     rows = rows_of_each_value(x)
     if rows == 1:
@@ -112,18 +112,18 @@ def _runs(x: Vector) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 def rails_of(y: Vector) -> tuple[Mask, list[float]]:
     """Return the samples on a rail, which y keeps but does not settle at, and the rails."""
-    found, values = np.zeros(y.size, np.bool_), []
-    known = y[np.isfinite(y)]
-    steps = np.abs(np.diff(known))
+    at_rail, values = np.zeros(y.size, np.bool_), []
+    finite = y[np.isfinite(y)]
+    steps = np.abs(np.diff(finite))
     digit = float(steps[steps > 0].min(initial=np.inf))
-    for value in (known.min(), known.max()) if np.isfinite(digit) else ():
-        there = known == value
+    for value in (finite.min(), finite.max()) if np.isfinite(digit) else ():
+        there = finite == value
         stays = stretches(there)
         lengths = [s.stop - s.start for s in stays]
         entries = [s for s in stays if s.start and s.stop - s.start > 1]
         # A sensor at rest with single wrong samples leaves no rail.
         leaves = any(s.stop - s.start > 1 for s in stretches(~there))
-        beside = (known != value) & (np.abs(known - value) < _NEAR * digit)
+        beside = (finite != value) & (np.abs(finite - value) < _NEAR * digit)
         if (
             max(lengths) >= _MIN_RAIL_RUN
             and sum(lengths) >= _MIN_RAIL_SAMPLES
@@ -132,42 +132,42 @@ def rails_of(y: Vector) -> tuple[Mask, list[float]]:
             and np.count_nonzero(beside) <= 2 * len(entries)
             and np.mean(steps[~(there[1:] & there[:-1])] == 0) < _MAX_RESTS
         ):
-            found |= y == value
+            at_rail |= y == value
             values.append(float(value))
-    return found, values
+    return at_rail, values
 
 
-def _modulus_of(known: Vector) -> tuple[float, bool] | None:
+def _modulus_of(values: Vector) -> tuple[float, bool] | None:
     """Return the range of a counter that wraps, or None, and whether the range is a usual one."""
-    d = np.diff(known)
-    if d.size < _MIN_STEPS or np.unique(known).size < _MIN_COUNTER_VALUES:
+    d = np.diff(values)
+    if d.size < _MIN_STEPS or np.unique(values).size < _MIN_COUNTER_VALUES:
         return None
-    span = float(np.ptp(known))
+    span = float(np.ptp(values))
     at = np.flatnonzero(np.abs(d) > _MIN_JUMP * span)
     inside = at[(at > 0) & (at < d.size - 1)]
     inside = inside[~np.isin(inside - 1, at) & ~np.isin(inside + 1, at)]
     if not inside.size or at.size > _MAX_JUMP_SHARE * d.size:
         return None
-    rest = np.abs(np.delete(d, at))
+    other_steps = np.abs(np.delete(d, at))
     sizes = np.abs(d[inside] - (d[inside - 1] + d[inside + 1]) / 2)
-    found, scatter = float(np.median(sizes)), float(np.ptp(sizes)) / np.sqrt(inside.size)
+    modulus, scatter = float(np.median(sizes)), float(np.ptp(sizes)) / np.sqrt(inside.size)
     if (
-        not span * (1 - 1e-9) <= found <= span / _MIN_RANGE
-        or rest.max() >= _MAX_REST * found
-        or np.quantile(rest, 0.9) >= _MAX_USUAL_STEP * found
-        or np.ptp(sizes) > 2 * rest.max() + _SAME * found
+        not span * (1 - 1e-9) <= modulus <= span / _MIN_RANGE
+        or other_steps.max() >= _MAX_REST * modulus
+        or np.quantile(other_steps, 0.9) >= _MAX_USUAL_STEP * modulus
+        or np.ptp(sizes) > 2 * other_steps.max() + _SAME * modulus
     ):
         return None
-    nearest = min(_MODULI, key=lambda m: abs(m - found))
-    is_usual = span * (1 - 1e-9) <= nearest and abs(nearest - found) <= scatter + _SAME * found
-    return (float(nearest), True) if is_usual else (float(f"{found:.3g}"), False)
+    nearest = min(_MODULI, key=lambda m: abs(m - modulus))
+    is_usual = span * (1 - 1e-9) <= nearest and abs(nearest - modulus) <= scatter + _SAME * modulus
+    return (float(nearest), True) if is_usual else (float(f"{modulus:.3g}"), False)
 
 
-def _turns(known: Vector, modulus: float) -> Vector:
+def _turns(values: Vector, modulus: float) -> Vector:
     """Return how often a counter has wrapped; a step is at most half of its range."""
     if not (np.isfinite(modulus) and modulus > 0):
         raise FileError(f"--unwrap {modulus:g}: must be the positive range of the counter")
-    d = np.diff(known)
+    d = np.diff(values)
     if np.mean(np.abs(d) > _MIN_JUMP * modulus) > _MAX_REST:
         raise FileError(
             f"--unwrap {modulus:g}: more than a quarter of the steps are longer than half of it; "

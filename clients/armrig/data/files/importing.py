@@ -84,11 +84,11 @@ def _on_grid(
     # Inputs that are written only where they change are refused, unless they are held.
     grid, placed, put_in, history = place(table, columns, of_u, of_y, names, how, notes)
     rows = np.flatnonzero(~put_in)
-    given = {k: str(v) for k, v in how._asdict().items() if v is not None and v is not False}
+    options = {k: str(v) for k, v in how._asdict().items() if v is not None and v is not False}
     return ImportedData(
         facts=Import(
             sources=sources,
-            options=given,
+            options=options,
             columns=tuple(Column(name=names[i], unit=table.columns[i].unit) for i in placed),
             inputs=tuple(names[i] for i in of_u) if inputs else (),
             outputs=tuple(names[i] for i in of_y) if outputs else (),
@@ -103,21 +103,21 @@ def _on_grid(
     )
 
 
-def _roles(table: Table, what: str, wanted: Sequence[str], how: Reading) -> list[int]:
+def _roles(table: Table, role: str, wanted: Sequence[str], how: Reading) -> list[int]:
     """Return the indices of the inputs or outputs: those wanted, or the column of the usual name.
 
     Without such a column, the options that need it are refused.
     """
-    usual, *options = _USUAL[what]
+    usual, *options = _USUAL[role]
     try:
-        return [choose(table, name, what) for name in wanted or [usual]]
+        return [choose(table, name, role) for name in wanted or [usual]]
     except NoColumnError:
         if wanted:
             raise
         for option in options:
             if getattr(how, option):
                 flag = option.replace("_", "-")
-                raise FileError(f"--{flag} needs --{what} NAME; {remedy(table, what)}") from None
+                raise FileError(f"--{flag} needs --{role} NAME; {remedy(table, role)}") from None
         return []
 
 
@@ -147,13 +147,13 @@ def _numbers(
     return columns, left_out
 
 
-def _names(table: Table, of: Sequence[int]) -> dict[int, str]:
+def _names(table: Table, indices: Sequence[int]) -> dict[int, str]:
     """Return a name for each column: its own, or column_ and its number in the file.
 
     A repeated name gets the number.
     """
     names, used = dict[int, str](), set[str]()
-    for i in of:
+    for i in indices:
         name = table.columns[i].name or f"column_{i + 1}"
         names[i] = f"{name}:{i + 1}" if name in used else name
         used.add(names[i])

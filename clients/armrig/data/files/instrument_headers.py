@@ -9,7 +9,7 @@ from itertools import groupby, pairwise, takewhile
 
 from armrig_core.errors import FileError
 
-from armrig.data.files.cells import REWRITTEN, Kind, is_missing, kind, split
+from armrig.data.files.cells import REWRITTEN, CellKind, is_missing, kind, split
 from armrig.data.files.table import Column, column_of, shorten
 
 Lines = Sequence[tuple[int, str]]
@@ -24,7 +24,7 @@ _MAX_LINES = 30  # above the names
 PROBED_LINES = 2 * _MAX_LINES + 5
 """Number of first lines that contain the names, the units, and more rows than lines above them."""
 _MAX_UNIT_CHARACTERS = 16
-_VALUES = frozenset({Kind.NUMBER, Kind.QUANTITY, Kind.TIME, Kind.SWITCH})
+_VALUES = frozenset({CellKind.NUMBER, CellKind.QUANTITY, CellKind.TIME, CellKind.SWITCH})
 _KNOWN_UNIT = re.compile(
     r"s|sec|seconds?|[mµun]s|min|h|[km]?hz|[mkuµ]?v|volts?|[muµk]?a|amp(?:ere)?|[mk]?w|va|k|c|f|℃|"
     r"°[cf]?|deg[cf]?(?:/s)?|%(?:rh)?|rh|ppm|rpm|1/min|rad(?:/s2?)?|[mcµk]?m|m/s(?:\^?2)?|k?g|k?n|"
@@ -54,16 +54,16 @@ def head_of(lines: Lines, separator: str) -> Head:
     run = longest_run(probed) or range(len(probed), len(probed))
     row = probed[run[-1]] if run else [*probed, [""]][0]
     begin = next((k for k in range(run.start) if _resembles(probed[k], row)), run.start)
-    above = [k for k in range(begin) if set(map(kind, probed[k])) != {Kind.MISSING}]
+    above = [k for k in range(begin) if set(map(kind, probed[k])) != {CellKind.MISSING}]
     is_closed = all(not probed[k][-1].strip() for k in run)
 
     def is_head(k: int) -> bool:
         cells, kinds = probed[k], [*map(kind, probed[k])]
         # With two columns, a line above the names such as `Scale,0.1` is a fact.
-        is_fact = k < above[-1] and len(row) == 2 and Kind.NUMBER in kinds
+        is_fact = k < above[-1] and len(row) == 2 and CellKind.NUMBER in kinds
         # LabVIEW writes the name of a column of comments above rows without this column.
         extra = 1 if cells[-1].strip() == "Comment" else -is_closed
-        fits = len(cells) - len(row) in (0, extra) and Kind.WORD in kinds and not is_fact
+        fits = len(cells) - len(row) in (0, extra) and CellKind.WORD in kinds and not is_fact
         return fits and (_VALUES.isdisjoint(kinds) or bool(_word_above_value(cells, row)))
 
     block = list(takewhile(is_head, reversed(above)))[::-1]
@@ -72,7 +72,7 @@ def head_of(lines: Lines, separator: str) -> Head:
         return [], _left_out(lines[:begin], "above the first row"), lines[begin:]
     at, units_at = _names_and_units(block, lines, probed)
     names, notes, begin = _names(probed[at])[: len(row)], list[str](), block[-1] + 1
-    if Kind.NUMBER in map(kind, probed[at]):
+    if CellKind.NUMBER in map(kind, probed[at]):
         _require_times(lines[at][0], probed[at], row)
     if numbered := [name for name in names if name.isdecimal()]:
         # A number chooses a column by its place.
@@ -113,7 +113,9 @@ def has_values(cells: Sequence[str]) -> bool:
 def _word_above_value(cells: Sequence[str], row: Sequence[str]) -> str:
     """Return the first word of these cells that is above a value of a row; "" without one."""
     pairs = zip(cells, row, strict=False)
-    return next((a for a, b in pairs if kind(a) is Kind.WORD and kind(b) in _VALUES), "").strip()
+    return next(
+        (a for a, b in pairs if kind(a) is CellKind.WORD and kind(b) in _VALUES), ""
+    ).strip()
 
 
 def _names_and_units(
@@ -189,15 +191,15 @@ def _units_above(above: Sequence[Sequence[str]], width: int) -> list[str]:
 
 def _is_remark(cells: Sequence[str]) -> bool:
     """Return whether a line directly above rows without names is a sentence, or a fact."""
-    return kind(cells[0]) is Kind.WORD and (len(cells) == 1 or has_values(cells))
+    return kind(cells[0]) is CellKind.WORD and (len(cells) == 1 or has_values(cells))
 
 
 def _resembles(cells: Sequence[str], row: Sequence[str]) -> bool:
     """Return whether a line has the number and the kinds of the cells of a row."""
     pairs = {(kind(a), kind(b)) for a, b in zip(cells, row, strict=False)}
-    known = {a for a, b in pairs if Kind.MISSING not in (a, b)}
-    is_like = all(a is b for a, b in pairs if Kind.MISSING not in (a, b))
-    return is_like and not _VALUES.isdisjoint(known) and len(cells) == len(row)
+    kinds = {a for a, b in pairs if CellKind.MISSING not in (a, b)}
+    is_like = all(a is b for a, b in pairs if CellKind.MISSING not in (a, b))
+    return is_like and not _VALUES.isdisjoint(kinds) and len(cells) == len(row)
 
 
 def _left_out(lines: Lines, where: str) -> list[str]:

@@ -6,12 +6,12 @@ import codecs
 from dataclasses import replace
 
 from armrig_core.errors import FileError, InputError
-from armrig_core.process.bounded import decoded
+from armrig_core.process.bounded import decode_text
 from armrig_core.recording_file.file_records import MAGIC
 
 from armrig.data.files.arrays import read_mat, read_npz, read_parquet
 from armrig.data.files.imported_file import read_imported
-from armrig.data.files.mat_variables import DamageError
+from armrig.data.files.mat_variables import MatDamageError
 from armrig.data.files.messages import read_mcap
 from armrig.data.files.table import Table
 from armrig.data.files.text import read_text
@@ -68,9 +68,9 @@ def table_of(
 
     Only a MAT-file of version 4 is recognised by its suffix, because it begins with numbers.
     """
-    for beginning, what in _REFUSED_KINDS:
+    for beginning, refusal in _REFUSED_KINDS:
         if data.startswith(beginning):
-            raise FileError(what)
+            raise FileError(refusal)
     if data.startswith(MAGIC):
         imported = read_imported(data)
         return imported.table() if imported else read_mcap(data, topic)
@@ -84,7 +84,7 @@ def table_of(
             except InputError:
                 raise
             except Exception as err:  # a damaged file can raise any exception in its reader
-                why = err if isinstance(err, DamageError) else type(err).__name__
+                why = err if isinstance(err, MatDamageError) else type(err).__name__
                 raise FileError(f"is {kind} ({why}); {remedy}") from err
     text = data.rstrip(b"\0")  # of a file that its logger allocated in advance
     if b"\0" in text:
@@ -93,7 +93,7 @@ def table_of(
             "-v7), .npz, Parquet and MCAP"
         )
     try:
-        content = decoded(text)
+        content = decode_text(text)
     except FileError as err:
         raise FileError(f'{err} (in Excel: "CSV UTF-8")') from err
     table = read_text(content, decimal)

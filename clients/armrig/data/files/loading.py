@@ -15,13 +15,13 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
-from armrig_core.process.calls import checked_call
+from armrig_core.process.calls import with_argument_checks
 from numpy.typing import NDArray
 
 from armrig.data.columns import require_size
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.clocks import on_one_clock
-from armrig.data.files.column_faults import held_notes, stuck_notes, treat_faults
+from armrig.data.files.column_faults import repetition_notes, stuck_notes, treat_faults
 from armrig.data.files.imported_file import GridTable
 from armrig.data.files.kinds import table_of
 from armrig.data.files.sampling_grid import Grid, grid_of, unit_grid
@@ -52,7 +52,7 @@ _MAX_JUMPS, _MIN_JUMP = 1 / 3, 0.1  # of an input: share of the rows, and of the
 _MIN_TS = 1e-12  # in s
 
 
-@checked_call
+@with_argument_checks
 def load_data(
     path: str | PathLike[str],
     *,
@@ -126,7 +126,7 @@ def load_data(
     """
     how = Reading(time, Ts, decimal, resample, hold_input, mask_rails, unwrap, topic)
     with naming_file(Path(path)):
-        inputs, outputs, found = _samples(Path(path), input, signal, how)
+        inputs, outputs, fields = _samples(Path(path), input, signal, how)
         if (sizes := (len(inputs), len(outputs))) != (1, 1):
             raise InputError(
                 f"{plural(sizes[0], 'input')} and {plural(sizes[1], 'output')} are named, but "
@@ -138,11 +138,11 @@ def load_data(
             outputs=of_y.name or "y",
             units=of_y.unit,
             input_units=of_u.unit,
-            **found,
+            **fields,
         ).dataset()
 
 
-@checked_call
+@with_argument_checks
 def load_signals(
     path: str | PathLike[str],
     *,
@@ -194,13 +194,13 @@ def load_signals(
     how = Reading(time, Ts, decimal, resample, hold_input, mask_rails, unwrap, topic)
     inputs, outputs = ([x] if isinstance(x, str) else list(x) for x in (inputs, outputs))
     with naming_file(Path(path)):
-        of_u, of_y, found = _samples(Path(path), inputs, outputs, how)
+        of_u, of_y, fields = _samples(Path(path), inputs, outputs, how)
         return Signals(
             inputs=_names(of_u, "u", of_y),
             outputs=_names(of_y, "y", of_u),
             input_units=[column.unit for column in of_u],
             units=[column.unit for column in of_y],
-            **found,
+            **fields,
         )
 
 
@@ -243,7 +243,7 @@ def _samples(
     output = outputs if isinstance(outputs, str) else next(iter(outputs), None)
     table = on_one_clock([(path.name, table)], output=output, time=how.time)
     of_u, of_y = _columns(table, {"input": inputs, "signal": outputs}, how)
-    named_u, named_y = ([table.columns[i] for i in of] for of in (of_u, of_y))
+    named_u, named_y = ([table.columns[i] for i in indices] for indices in (of_u, of_y))
     columns = {i: values_of(table, i, "input") for i in of_u}
     columns |= {i: values_of(table, i, "signal") for i in of_y}
     names = {i: table.columns[i].name or "u" * (i in of_u) or "y" for i in columns}
@@ -251,29 +251,29 @@ def _samples(
     if others := _switching(table, {*of_u, *of_y}):
         text = f"not in the data, but switching like an input: {', '.join(others)}"
         history.append(Step(text, OTHER_INPUTS))
-    u, y = (np.column_stack([columns[i] for i in of]) for of in (of_u, of_y))
-    known = np.isfinite(u).all(axis=1)
-    if not known.any():
+    u, y = (np.column_stack([columns[i] for i in indices]) for indices in (of_u, of_y))
+    has_inputs = np.isfinite(u).all(axis=1)
+    if not has_inputs.any():
         raise FileError("no row has a value of each input; leave an input out, or fill it in")
     # Each row without an input, and each break of the times, begins a new experiment.
-    part = np.cumsum(~known) + np.searchsorted(grid.breaks, np.arange(grid.size), side="right")
-    if count := int(np.count_nonzero(~known & ~put_in)):
+    part = np.cumsum(~has_inputs) + np.searchsorted(grid.breaks, np.arange(grid.size), side="right")
+    if count := int(np.count_nonzero(~has_inputs & ~put_in)):
         left_out = f"left out {plural(count, 'sample')} without an input"
         history.append(f"{left_out}; a new experiment begins after each gap")
-    if count := int(np.count_nonzero(~known & put_in)):
+    if count := int(np.count_nonzero(~has_inputs & put_in)):
         history.append(
             f"the input is not known in {plural(count, 'row')} that the file leaves out; a new "
             "experiment begins after each such gap (--hold-input holds it instead)"
         )
-    found = {
-        "u": u[known],
-        "y": y[known],
+    fields = {
+        "u": u[has_inputs],
+        "y": y[has_inputs],
         "Ts": grid.Ts,
-        "starts": np.flatnonzero(np.diff(part[known], prepend=-1)).tolist(),
+        "starts": np.flatnonzero(np.diff(part[has_inputs], prepend=-1)).tolist(),
         "source": f"{SOURCE}:{hashlib.sha256(data).hexdigest()}",
         "history": history,
     }
-    return named_u, named_y, found
+    return named_u, named_y, fields
 
 
 def place(
@@ -300,11 +300,13 @@ def place(
     columns, grid = dict(columns), _grid_of_rows(table, {*of_u, *of_y}, sizes.pop(), how)
     history = [*table.notes, *grid.notes, *notes]
     for i in of_u if are_signals else ():
-        history += held_notes(columns[i], names[i])
+        history += repetition_notes(columns[i], names[i])
     for i in of_y:
         if are_signals:
             u = np.column_stack([columns[j] for j in of_u])
-            history += held_notes(columns[i], names[i]) or stuck_notes(columns[i], names[i], u)
+            history += repetition_notes(columns[i], names[i]) or stuck_notes(
+                columns[i], names[i], u
+            )
         columns[i], steps = treat_faults(
             columns[i], names[i], mask_rails=how.mask_rails, unwrap=how.unwrap
         )
@@ -338,15 +340,15 @@ def _columns(
     table: Table, columns: dict[str, str | list[str]], how: Reading
 ) -> tuple[list[int], list[int]]:
     """Return the indices of the inputs and of the outputs; an error names all missing columns."""
-    found: dict[str, list[int]] = {what: [] for what in columns}
+    chosen: dict[str, list[int]] = {role: [] for role in columns}
     missing: list[tuple[str, str, NoColumnError]] = []
-    for what, wanted in columns.items():
+    for role, wanted in columns.items():
         for name in [wanted] if isinstance(wanted, str) else wanted:
             try:
                 of_matrix = [] if isinstance(wanted, str) else _matrix(table, name)
-                found[what] += of_matrix or [choose(table, name, what)]
+                chosen[role] += of_matrix or [choose(table, name, role)]
             except NoColumnError as err:
-                missing.append((what, name, err))
+                missing.append((role, name, err))
     has_times = bool(
         how.time
         or how.Ts is not None
@@ -355,25 +357,25 @@ def _columns(
         or isinstance(table, GridTable)
     )
     if len(missing) + (not has_times) > 1:
-        said = " and ".join(f"{what} {shorten(name)}" for what, name, _ in missing)
-        said += ": there are no such columns" if len(missing) > 1 else ": there is no such column"
-        said += "" if has_times else ", and the sampling time is not known (or give --Ts, in s)"
-        options = dict.fromkeys([*(what for what, *_ in missing), *([] if has_times else ["time"])])
-        raise FileError(f"{said}; {remedy(table, ' and --'.join(options))}")
+        text = " and ".join(f"{role} {shorten(name)}" for role, name, _ in missing)
+        text += ": there are no such columns" if len(missing) > 1 else ": there is no such column"
+        text += "" if has_times else ", and the sampling time is not known (or give --Ts, in s)"
+        options = dict.fromkeys([*(role for role, *_ in missing), *([] if has_times else ["time"])])
+        raise FileError(f"{text}; {remedy(table, ' and --'.join(options))}")
     if missing:
         raise missing[0][-1]
     owners: dict[int, list[str]] = {}
-    for what, of in found.items():
-        if not of:
-            raise FileError(f"give at least one {what}; {remedy(table, what)}")
-        for i in of:
-            owners.setdefault(i, []).append(what)
-    for i, whats in owners.items():
-        if whats[1:]:
+    for role, indices in chosen.items():
+        if not indices:
+            raise FileError(f"give at least one {role}; {remedy(table, role)}")
+        for i in indices:
+            owners.setdefault(i, []).append(role)
+    for i, roles in owners.items():
+        if roles[1:]:
             raise FileError(
-                f"{' and '.join(whats)} are both column {i + 1}; {remedy(table, whats[-1])}"
+                f"{' and '.join(roles)} are both column {i + 1}; {remedy(table, roles[-1])}"
             )
-    return found["input"], found["signal"]
+    return chosen["input"], chosen["signal"]
 
 
 def _matrix(table: Table, name: str) -> list[int]:
@@ -398,11 +400,11 @@ def _hold_inputs(u: Array, put_in: Mask, names: Sequence[str], how: Reading) -> 
     unknown = np.isnan(u) & ~put_in[:, np.newaxis]
     for x, missing, name in zip(u.T, unknown.T, names, strict=True):
         rows = x.size - np.count_nonzero(put_in)
-        known = int(rows - np.count_nonzero(missing))
+        filled = int(rows - np.count_nonzero(missing))
         # Without most of the rows the data would be distorted.
-        if not how.hold_input and known < _MIN_KNOWN_INPUTS * rows:
+        if not how.hold_input and filled < _MIN_KNOWN_INPUTS * rows:
             raise ReadingError(
-                f"{shorten(name)} has a value in {known} of {rows} rows; if it is written only "
+                f"{shorten(name)} has a value in {filled} of {rows} rows; if it is written only "
                 "where it changes, give --hold-input",
                 "--hold-input",
             )
@@ -461,27 +463,27 @@ def time_column(table: Table, taken: Collection[int], how: Reading) -> int | Non
 
 def _grid_of_import(table: GridTable, how: Reading) -> Grid:
     """Return the grid of imported rows; refuse options that only an import takes."""
-    given = [name for name in ("time", "Ts", "resample", "topic") if getattr(how, name)]
-    if given:
+    flags = [name for name in ("time", "Ts", "resample", "topic") if getattr(how, name)]
+    if flags:
         raise FileError(
-            f"--{given[0]}: imported data have their times, {table.grid.Ts:g} s apart; import the "
+            f"--{flags[0]}: imported data have their times, {table.grid.Ts:g} s apart; import the "
             "original file again with this option"
         )
     return table.grid
 
 
-def values_of(table: Table, i: int, what: str) -> Vector:
+def values_of(table: Table, i: int, role: str) -> Vector:
     """Return the values of a column, NaN where missing; refuse infinities and empty columns."""
     values = table.numbers(i)
     infinite = np.isinf(values)
     if infinite.any():
         k = int(np.argmax(infinite))
         raise FileError(
-            f"{table.place(k)}: the {what} is {values[k]} here, and infinite in "
+            f"{table.place(k)}: the {role} is {values[k]} here, and infinite in "
             f"{plural(infinite.sum(), 'sample')} in all; leave an unknown value empty, or write NaN"
         )
     if np.isnan(values).all():
-        msg = f"the {what}, column {i + 1}, has no value in any of {values.size} rows; "
-        raise FileError(msg + remedy(table, what))
-    require_size(what, values[~np.isnan(values)])
+        msg = f"the {role}, column {i + 1}, has no value in any of {values.size} rows; "
+        raise FileError(msg + remedy(table, role))
+    require_size(role, values[~np.isnan(values)])
     return values

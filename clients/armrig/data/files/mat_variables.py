@@ -54,7 +54,7 @@ class Unread:
     why: str
 
 
-class DamageError(Exception):
+class MatDamageError(Exception):
     """The bytes of the file are not a valid MAT-file."""
 
 
@@ -85,12 +85,12 @@ def _elements(data: memoryview, order: str, *, padded: bool = True) -> Elements:
         if kind >> 16:  # a short element: length and kind share 4 B, and the next 4 B are its data
             kind, length, begin = kind & 0xFFFF, kind >> 16, at - 4
             if length > 4:
-                raise DamageError("a short element of more than 4 B")
+                raise MatDamageError("a short element of more than 4 B")
         else:
             begin = at
             at += -(-length // 8) * 8 if padded else length
         if begin + length > len(data):
-            raise DamageError("it ends too early")
+            raise MatDamageError("it ends too early")
         yield kind, data[begin : begin + length]
 
 
@@ -99,13 +99,13 @@ def _matrix(body: memoryview, order: str, depth: int = 0) -> tuple[str, Value]:
     parts = _elements(body, order)
     flags = _numbers(parts, order)
     if flags.size < 1 or depth > _MAX_DEPTH:
-        raise DamageError("an array without a class, or nested too deeply")
+        raise MatDamageError("an array without a class, or nested too deeply")
     kind = int(flags[0]) & 0xFF
     if not 1 <= kind <= _LAST_NUMBER:
         return _name(parts), Unread(_OPAQUE)
     shape = tuple(_numbers(parts, order).tolist())
     if len(shape) > 32:  # the limit of numpy 1
-        raise DamageError(f"an array of {len(shape)} dimensions; at most 32 are allowed")
+        raise MatDamageError(f"an array of {len(shape)} dimensions; at most 32 are allowed")
     name = _name(parts)
     if kind == _CELL:
         return name, _inner(parts, order, depth)
@@ -126,7 +126,7 @@ def _structure(parts: Elements, shape: tuple[int, ...], order: str, depth: int) 
     width = _numbers(parts, order)
     _, names = _next(parts)
     if width.size != 1 or not 0 < int(width[0]) <= _MAX_NAME_BYTES:
-        raise DamageError("a structure without names")
+        raise MatDamageError("a structure without names")
     size = int(width[0])
     fields = [_text(names[i : i + size]) for i in range(0, len(names), size)]
     values = _inner(parts, order, depth)
@@ -155,7 +155,7 @@ def _numbers(parts: Elements, order: str) -> Any:
     """Return the next element as a vector; the element states its numeric type."""
     kind, body = _next(parts)
     if kind not in _NUMBERS or len(body) % int(_NUMBERS[kind][1]):
-        raise DamageError(f"an element of kind {kind} instead of numbers")
+        raise MatDamageError(f"an element of kind {kind} instead of numbers")
     return np.frombuffer(body, dtype=order + _NUMBERS[kind])
 
 
@@ -174,7 +174,7 @@ def _text(data: memoryview) -> str:
 def _reshape(values: Any, shape: tuple[int, ...]) -> Any:
     """Return values, stored column by column, as an array of the given shape."""
     if len(shape) < 2 or any(n < 0 for n in shape) or prod(shape) != values.size:
-        raise DamageError(f"{plural(values.size, 'number')} in a shape of {shape}")
+        raise MatDamageError(f"{plural(values.size, 'number')} in a shape of {shape}")
     # A shape with a 0 and numbers above 2^60 is not a shape of numpy.
     return values.reshape(shape if values.size else 0, order="F")
 
@@ -185,20 +185,20 @@ def _old_variables(data: memoryview) -> Iterator[tuple[str, Value]]:
     while at + 20 <= len(data):
         order = "<" if 0 <= struct.unpack_from("<i", data, at)[0] < 1000 else ">"
         kind, rows, columns, imaginary, length = struct.unpack_from(f"{order}5i", data, at)
-        form, number, what = kind // 100, kind // 10 % 10, kind % 10
-        known = form in (0, 10) and number < len(_VERSION_4_NUMBERS) and what < 3
-        if not known or min(rows, columns) < 0 or not 0 < length <= _MAX_NAME_BYTES:
-            raise DamageError("no header of version 4")
+        form, number, matrix_type = kind // 100, kind // 10 % 10, kind % 10
+        is_valid = form in (0, 10) and number < len(_VERSION_4_NUMBERS) and matrix_type < 3
+        if not is_valid or min(rows, columns) < 0 or not 0 < length <= _MAX_NAME_BYTES:
+            raise MatDamageError("no header of version 4")
         at += 20 + length
         type_ = np.dtype(order + _VERSION_4_NUMBERS[number])
         size = rows * columns * type_.itemsize
         name, body = _text(data[at - length : at]), data[at : at + size]
         at += size * (2 if imaginary else 1)
         if at > len(data):
-            raise DamageError("it ends too early")
-        if what or imaginary:
+            raise MatDamageError("it ends too early")
+        if matrix_type or imaginary:
             yield name, Unread("is not a full real matrix; save it as a full real matrix")
         else:
             yield name, _reshape(np.frombuffer(body, dtype=type_), (rows, columns))
     if at == 0:
-        raise DamageError("it has no header")
+        raise MatDamageError("it has no header")

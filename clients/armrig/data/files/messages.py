@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from armrig_core.errors import FileError
-from armrig_core.process.imports import MissingPackageError, imported
+from armrig_core.process.imports import MissingPackageError, load_extra
 from armrig_core.recording_file.budget import WORK, Budget, DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.chunks import Unpacker
@@ -23,7 +23,7 @@ from armrig_core.recording_file.file_records import (
     MAGIC,
     MESSAGE_HEAD,
     UNREADABLE,
-    Wanted,
+    RecordSelection,
     file_records,
 )
 from armrig_core.recording_file.manifest import RUN
@@ -69,16 +69,16 @@ def read_mcap(data: bytes, topic: str | None) -> Table:
     if names[:-1]:
         others = " and ".join(map(shorten, names[:-1]))
         notes.append(f"held the newest value of {others} at the times of {shorten(names[-1])}")
-    found = _join(series)
-    named = [Column(name=name, unit="s" if name == "time" else "") for name in found]
-    return Table(columns=named, values=[*found.values()], notes=notes)
+    vectors = _join(series)
+    named = [Column(name=name, unit="s" if name == "time" else "") for name in vectors]
+    return Table(columns=named, values=[*vectors.values()], notes=notes)
 
 
 def _join(series: Mapping[str, _Series]) -> dict[str, Vector]:
     """Return the times of the last topic, from 0 on, and the values of all topics at them."""
     *_, (last, _) = series.values()
     times_ns = np.sort(np.array(last, dtype=np.uint64))
-    found: dict[str, Vector] = {"time": (times_ns - times_ns[0]) / 1e9}
+    vectors: dict[str, Vector] = {"time": (times_ns - times_ns[0]) / 1e9}
     for topic, (times, columns) in series.items():
         own_ns = np.array(times, dtype=np.uint64)
         order = np.argsort(own_ns, kind="stable")
@@ -89,8 +89,8 @@ def _join(series: Mapping[str, _Series]) -> dict[str, Vector]:
             values = np.append(column, [nan] * (len(times) - len(column)))[order]
             # The column of the log times is recognised by its name.
             is_ambiguous = len(series) > 1 or name.casefold() in ("t", "time")
-            found[f"{topic}.{name}" if is_ambiguous else name] = np.append(nan, values)[at]
-    return found
+            vectors[f"{topic}.{name}" if is_ambiguous else name] = np.append(nan, values)[at]
+    return vectors
 
 
 def _contents(data: bytes) -> str:
@@ -124,7 +124,7 @@ def mcap_records(data: bytes) -> Iterator[tuple[int, bytes]]:
     budget, source = Budget(len(data)), ByteSource(BytesIO(data), len(data))
     spend = partial(budget.spend, WORK)
     source.skip(len(MAGIC))
-    records = file_records(source, Wanted(attachment=0), spend)
+    records = file_records(source, RecordSelection(attachment=0), spend)
     for opcode, body in chain.from_iterable(map(Unpacker(budget).parts, records)):
         spend(1)
         yield opcode, body
@@ -177,7 +177,7 @@ def _decoder(encoding: str, schema: Schema | None) -> Callable[[bytes], Any]:
         return json.loads
     why = "armrig reads json, protobuf, and cdr with ros2msg; export the topic as CSV"
     try:
-        factory = imported(_DECODERS[encoding], "mcap").DecoderFactory()
+        factory = load_extra(_DECODERS[encoding], "mcap").DecoderFactory()
         with redirect_stderr(StringIO()):  # mcap_ros2 prints the damaged line
             decoder: Callable[[bytes], Any] | None = factory.decoder_for(encoding, schema)
         if decoder:
@@ -188,8 +188,8 @@ def _decoder(encoding: str, schema: Schema | None) -> Callable[[bytes], Any]:
         pass  # another encoding
     except Exception as err:  # a damaged schema can raise any exception in its parser
         why = f"the schema is damaged ({shorten(str(err))}); export the topic as CSV"
-    of = f" with a schema in {shorten(schema.encoding)}" if schema else ""
-    raise FileError(f"messages in {shorten(encoding)}{of}: {why}")
+    schema_text = f" with a schema in {shorten(schema.encoding)}" if schema else ""
+    raise FileError(f"messages in {shorten(encoding)}{schema_text}: {why}")
 
 
 def _fields(value: Any, path: str = "") -> Iterator[tuple[str, float]]:

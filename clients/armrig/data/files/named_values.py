@@ -9,7 +9,7 @@ from typing import Any
 
 from armrig_core.errors import FileError
 
-from armrig.data.files.cells import REWRITTEN, Kind, kind
+from armrig.data.files.cells import REWRITTEN, CellKind, kind
 from armrig.data.files.instrument_headers import Head, Lines, columns_of, join_cells
 from armrig.data.files.table import Column, require_room, shorten
 
@@ -111,7 +111,7 @@ def long_table(
         return None
     name_at, value_at = *of_names, *of_values
     time_at = 3 - name_at - value_at
-    are_words = [kind(firsts[i]) is Kind.WORD for i in (name_at, time_at)]
+    are_words = [kind(firsts[i]) is CellKind.WORD for i in (name_at, time_at)]
     cells = [cell.strip() for cell in texts(name_at)]
     names = list(dict.fromkeys(cells))
     if are_words != [True, False] or not 2 <= len(names) <= min(_MAX_NAMES, len(cells) - 1):

@@ -96,15 +96,15 @@ def require_room(unpacked: int, packed: int) -> None:
 
 def column_of(heading: str) -> Column:
     """Return the name and the unit of a heading such as `u [V]`, `u (V)` or `u(V)`."""
-    found = _UNIT.fullmatch(heading)
-    if found is None:
+    parts = _UNIT.fullmatch(heading)
+    if parts is None:
         return Column(name=heading)
-    unit = found["unit"] or found["other"] or found["glued"] or ""
-    return Column(name=found["name"].strip(), unit=unit.strip())
+    unit = parts["unit"] or parts["other"] or parts["glued"] or ""
+    return Column(name=parts["name"].strip(), unit=unit.strip())
 
 
-def choose(table: Table, wanted: str, what: str) -> int:
-    """Return the index of a column, given by name or by number from 1, for an option `what`.
+def choose(table: Table, wanted: str, option: str) -> int:
+    """Return the index of a column, given by name or by number from 1, for an option `option`.
 
     The name may contain the unit; the name of a structure's field may be its last part. Lower and
     upper case are distinguished only if both exist. A name has priority over a number.
@@ -113,28 +113,30 @@ def choose(table: Table, wanted: str, what: str) -> int:
     title = column_of(wanted)
     named = [(i, column) for i, column in enumerate(table.columns) if column.name]
     folded = title.name.casefold()
-    for found in (
+    for matches in (
         [i for i, column in named if wanted == column.name or title == column],
         [i for i, column in named if folded == column.name.casefold()],
         [i for i, column in named if wanted == column.name.rpartition(".")[2]],
     ):
-        if len(found) == 1:
-            return found[0]
-        if found:
-            numbers = " and ".join(str(i + 1) for i in found[:_MAX_LISTED_COLUMNS])
+        if len(matches) == 1:
+            return matches[0]
+        if matches:
+            numbers = " and ".join(str(i + 1) for i in matches[:_MAX_LISTED_COLUMNS])
             raise FileError(
-                f"{what} {shorten(wanted)}: columns {numbers} have this name; give the number"
+                f"{option} {shorten(wanted)}: columns {numbers} have this name; give the number"
             )
     is_number = wanted.isdecimal() and len(wanted) <= _MAX_NUMBER_DIGITS
     if is_number and 1 <= int(wanted) <= len(table.columns):
         return int(wanted) - 1
     for name, why in table.refused.items():
         if wanted in (name, name.rpartition(".")[2]):
-            raise FileError(f"{what} {shorten(wanted)}: {why}")
-    raise NoColumnError(f"{what} {shorten(wanted)}: there is no such column; {remedy(table, what)}")
+            raise FileError(f"{option} {shorten(wanted)}: {why}")
+    raise NoColumnError(
+        f"{option} {shorten(wanted)}: there is no such column; {remedy(table, option)}"
+    )
 
 
-def remedy(table: Table, what: str) -> str:
+def remedy(table: Table, option: str) -> str:
     """Return the remedy for a message: the option to give, with a list of the columns."""
     count = len(table.columns)
     if not count:
@@ -144,12 +146,12 @@ def remedy(table: Table, what: str) -> str:
     if not any(column.name for column in table.columns):
         numbers = " or ".join(str(i + 1) for i in range(count))
         numbers = numbers if count <= 2 else f"a number from 1 to {count}"
-        return f"its columns have no names: give --{what} {numbers}"
-    if count == 1 and what != "time":
+        return f"its columns have no names: give --{option} {numbers}"
+    if count == 1 and option != "time":
         return "it has one column, but an input and an output are needed"
     names = [f"{i} {shorten(c.name) or '(no name)'}" for i, c in enumerate(table.columns, 1)]
     more = f", … {count}" if count > _MAX_LISTED_COLUMNS else ""
-    return f"give --{what} a name or a number of {', '.join(names[:_MAX_LISTED_COLUMNS])}{more}"
+    return f"give --{option} a name or a number of {', '.join(names[:_MAX_LISTED_COLUMNS])}{more}"
 
 
 def shorten(text: str) -> str:

@@ -14,16 +14,16 @@ from armrig.data.files.cells import (
     REWRITTEN,
     SEPARATORS,
     SWITCH,
-    Kind,
+    CellKind,
     contradicts,
     doubtful_cell,
     is_missing,
     kind,
     mark_of,
     number,
-    proved_marks,
     quantity,
     split,
+    sure_marks,
 )
 from armrig.data.files.instrument_headers import (
     PROBED_LINES,
@@ -41,7 +41,7 @@ from armrig.numerics.quantities import plural
 
 _REMARK_MARKS = ("#", "%")
 _RECEIPT = re.compile(r"\s*\d{1,2}:\d\d:\d\d(?:[.,]\d+)?\s*->")
-_SWITCH_KINDS = {Kind.SWITCH, Kind.MISSING}
+_SWITCH_KINDS = {CellKind.SWITCH, CellKind.MISSING}
 _TWO_NUMBERS = re.compile(r"\s*\d+ +[+-]?\d+\s*")
 _BLOCK_CELLS = 1 << 20  # that are kept of adjacent columns, so that wide files are split once
 _MAX_CELLS = 1 << 16  # of a line; the kind of each is looked at several times
@@ -134,23 +134,23 @@ class TextTable(Table):
         """Return the decimal mark of column i, or "" if both marks are decimal marks."""
         if self.decimal:
             if (k := contradicts(cells, self.decimal)) is not None:
-                said = f"has another decimal mark than --decimal {self.decimal}"
-                raise self._fault(i, k, cells[k], said)
+                problem = f"has another decimal mark than --decimal {self.decimal}"
+                raise self._fault(i, k, cells[k], problem)
             return self.decimal
-        mark = mark_of(cells, self._proved_marks, mixed=self.is_mixed)
+        mark = mark_of(cells, self._sure_marks, mixed=self.is_mixed)
         if mark is None:
             k, readings = doubtful_cell(cells)
-            said = f"may be {readings}: a decimal mark, or a mark between thousands? "
-            fault = self._fault(i, k, cells[k], said, self.ways_out[1])
+            problem = f"may be {readings}: a decimal mark, or a mark between thousands? "
+            fault = self._fault(i, k, cells[k], problem, self.ways_out[1])
             raise ReadingError(str(fault), "--decimal ,")
         return mark
 
-    def _proved_marks(self) -> set[str]:
+    def _sure_marks(self) -> set[str]:
         """Return the decimal marks that the columns prove."""
         if not self._marks:
             proofs = set[str]()
             for i in range(len(self.columns)):
-                proofs |= proved_marks(quantity(cell)[0] for cell in self._cells(i))
+                proofs |= sure_marks(quantity(cell)[0] for cell in self._cells(i))
             self._marks.append(proofs)
         return self._marks[0]
 
@@ -161,10 +161,10 @@ class TextTable(Table):
             return self._fault(i, k, cell, text)
         return self._fault(i, k, cell, "is not a number", self.ways_out[0])
 
-    def _fault(self, i: int, k: int, cell: str, *said: str) -> FileError:
+    def _fault(self, i: int, k: int, cell: str, *texts: str) -> FileError:
         name = shorten(self.columns[i].name) or str(i + 1)
         place = f"{self.place(k)}, column {name}"
-        return FileError(f"{place}: '{shorten(cell.strip())}' {''.join(said)}")
+        return FileError(f"{place}: '{shorten(cell.strip())}' {''.join(texts)}")
 
 
 def read_text(
@@ -241,8 +241,8 @@ def _without_receipts(lines: Lines) -> tuple[dict[int, str], Lines]:
     if not lines or not _RECEIPT.match(lines[0][1]):
         return {}, lines
     parts = [(k, *line.rpartition("->")) for k, line in lines]
-    rest = [(k, line.strip(" ")) for k, _, _, line in parts if line.strip()]
-    return {k: time.strip() or "NaN" for k, time, _, _ in parts}, rest
+    bare_lines = [(k, line.strip(" ")) for k, _, _, line in parts if line.strip()]
+    return {k: time.strip() or "NaN" for k, time, _, _ in parts}, bare_lines
 
 
 def _separator(lines: Lines) -> tuple[str, Lines]:
@@ -306,7 +306,7 @@ def _with_plain_cells(table: TextTable, firsts: Sequence[str]) -> TextTable:
     columns, notes = list(table.columns), list(table.notes)
     units, switches = dict[int, str](), list[int]()
     for i, (column, first) in enumerate(zip(columns, firsts, strict=True)):
-        if kind(first) is Kind.QUANTITY:
+        if kind(first) is CellKind.QUANTITY:
             units[i] = unit = quantity(first)[1]
             columns[i] = replace(column, unit=unit)
             if column.unit not in ("", unit):
@@ -314,7 +314,9 @@ def _with_plain_cells(table: TextTable, firsts: Sequence[str]) -> TextTable:
                     f"{shorten(column.name)}: the unit {shorten(unit)} of the values is read, not "
                 )
                 notes.append(Step(f"{text}{shorten(column.unit)} of the header", DOUBT))
-        elif kind(first) is Kind.SWITCH and _SWITCH_KINDS.issuperset(map(kind, {*table.texts(i)})):
+        elif kind(first) is CellKind.SWITCH and _SWITCH_KINDS.issuperset(
+            map(kind, {*table.texts(i)})
+        ):
             switches.append(i)
     if switches:
         names = ", ".join(columns[i].name or str(i + 1) for i in switches)

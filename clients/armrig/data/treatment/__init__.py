@@ -12,6 +12,6 @@ from armrig.data.treatment.filtering import prefilter as prefilter
 from armrig.data.treatment.filtering import resample as resample
 from armrig.data.treatment.integrating import IntegratingOutputWarning as IntegratingOutputWarning
 from armrig.data.treatment.integrating import difference as difference
+from armrig.data.treatment.integrating import integrates_by_name as integrates_by_name
 from armrig.data.treatment.integrating import integrating as integrating
-from armrig.data.treatment.integrating import known_to_integrate as known_to_integrate
 from armrig.data.treatment.wrong_samples import hampel as hampel

@@ -75,8 +75,8 @@ def detrend(data: Signals, order: int = 0) -> Signals:
         raise InputError(
             f"order={order!r} must be 0 (remove the mean) or 1 (remove a straight line)"
         )
-    found = [integrating(data, name) for name in data.outputs] if order == 1 else []
-    evidence = " and ".join(x.text for x in found if x)
+    findings = [integrating(data, name) for name in data.outputs] if order == 1 else []
+    evidence = " and ".join(x.text for x in findings if x)
     if evidence:
         warnings.warn(
             f"detrend(order=1): {evidence}, so its line is the response to the mean of u and not "
@@ -96,7 +96,7 @@ def detrend(data: Signals, order: int = 0) -> Signals:
         u[rows] -= removed.u(t)
         y[rows] -= removed.y(t)
         trends.append(data.trends[k] + removed if data.trends else removed)
-    what = "the mean" if order == 0 else "a straight line"
+    trend_name = "the mean" if order == 0 else "a straight line"
     each = "" if len(trends) == 1 else " of each experiment"
     despite = f", although {evidence}" if evidence else ""
     return data.replaced(
@@ -104,7 +104,8 @@ def detrend(data: Signals, order: int = 0) -> Signals:
         y=y,
         trends=trends,
         step=Step(
-            f"removed {what} from u and y{each} (order {order}){despite}", LINE if order else MEAN
+            f"removed {trend_name} from u and y{each} (order {order}){despite}",
+            LINE if order else MEAN,
         ),
     )
 
@@ -157,18 +158,18 @@ def retrend(data: Data, y: ArrayLike | None = None) -> Data | Vector:
         return data.replaced(
             u=data.u + u_trend, y=data.y + y_trend, trends=(), step="restored the trend of u and y"
         )
-    given = columns("y", y)
-    if given.shape[0] != data.N:
+    outputs = columns("y", y)
+    if outputs.shape[0] != data.N:
         raise InputError(
-            f"y has {plural(given.shape[0], 'sample')} and the data have {data.N}; give one for "
+            f"y has {plural(outputs.shape[0], 'sample')} and the data have {data.N}; give one for "
             "each instant"
         )
-    if given.size != y_trend.size:
+    if outputs.size != y_trend.size:
         raise InputError(
-            f"y has {plural(given.shape[1], 'column')}; give one for each of the "
+            f"y has {plural(outputs.shape[1], 'column')}; give one for each of the "
             f"{plural(y_trend.size // data.N, 'output')}"
         )
-    return given.reshape(y_trend.shape) + y_trend
+    return outputs.reshape(y_trend.shape) + y_trend
 
 
 def _lines(t: Vector, x: Matrix, where: Mask, order: int) -> tuple[Vector, Vector]:
@@ -214,9 +215,9 @@ class Drift:
 
     def __str__(self) -> str:
         """Describe the drift in one line."""
-        found = "a drift" if abs(self.z) > 2.58 else "no significant drift"
+        verdict = "a drift" if abs(self.z) > 2.58 else "no significant drift"
         return (
-            f"{found}: {digits(self.rate, 3)} ± {digits(self.std, 2)} {self.unit or '1'}/s, "
+            f"{verdict}: {digits(self.rate, 3)} ± {digits(self.std, 2)} {self.unit or '1'}/s, "
             f"{f'{digits(self.rate * self.seconds, 3)} {self.unit}'.rstrip()} in {self.seconds:g} s"
         )
 
@@ -261,9 +262,9 @@ def drift(data: Signals, order: int = 10, *, integrator: bool | None = None) -> 
     -0.02 ± 0.06 mrad/s
     """
     for name in data.outputs:
-        found = integrating(data, name) if integrator is None else None
-        if found or integrator:
-            reason = found.text if found else f"{name} integrates, as integrator=True says"
+        finding = integrating(data, name) if integrator is None else None
+        if finding or integrator:
+            reason = finding.text if finding else f"{name} integrates, as integrator=True says"
             raise InputError(
                 f"{reason}: its line is the response to the mean of u, not a drift; estimate the "
                 "input's offset instead, oe(data, ..., integrator=True).free[0].offset"
@@ -273,13 +274,13 @@ def drift(data: Signals, order: int = 10, *, integrator: bool | None = None) -> 
 
 def _drift_of(part: Signals, i: int, n: int) -> Drift:
     """Return the drift of output i in an experiment."""
-    y, known = part.y[:, i], int(np.count_nonzero(part.valid[:, i]))
+    y, count = part.y[:, i], int(np.count_nonzero(part.valid[:, i]))
     if text := constancy(part.outputs[i], y):
         raise InputError(text)
     needed = 4 * n + 10
-    if known < needed:
+    if count < needed:
         raise InputError(
-            f"an experiment has {plural(known, 'sample')}; a drift estimate of order {n} "
+            f"an experiment has {plural(count, 'sample')}; a drift estimate of order {n} "
             f"needs {needed}: lower the order"
         )
     model = unique_whitening([(part.u, y)], n, slope=True)

@@ -86,10 +86,10 @@ def prefilter(data: Signals, *, band: tuple[float, float], order: int = 4) -> Si
     for part, start in zip(data.experiments(), data.starts, strict=True):
         rows = slice(start, start + part.N)
         pairs = zip(part.y.T, part.valid.T, strict=True)
-        held = np.column_stack([_held(x, there) for x, there in pairs])
+        held = np.column_stack([_hold_last(x, there) for x, there in pairs])
         for filtered, x in ((u, part.u), (y, held)):
             filtered[rows], _ = sosfilt(sections, x, axis=0, zi=steady * x[0])
-        valid[rows] = _known_for(part.valid, memory)
+        valid[rows] = _full_windows(part.valid, memory)
     if not valid.any(axis=0).all():
         raise InputError(
             f"{name} remembers {plural(memory, 'sample')}, and no stretch of y without a gap is as "
@@ -163,7 +163,7 @@ def resample(data: Signals, Ts: float) -> Signals:
                 f"{2 * half + 1}: leave it out with select, or use a shorter Ts"
             )
     h = firwin(2 * half + 1, 0.8 / factor, window=("kaiser", _KAISER_BETA))
-    parts = [_decimated(part, h, factor) for part in experiments]
+    parts = [_decimate(part, h, factor) for part in experiments]
     u, y, valid = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     if not valid.any(axis=0).all():
         raise InputError(
@@ -186,7 +186,7 @@ def resample(data: Signals, Ts: float) -> Signals:
     )
 
 
-def _decimated(part: Signals, h: Vector, factor: int) -> tuple[Matrix, Matrix, Mask]:
+def _decimate(part: Signals, h: Vector, factor: int) -> tuple[Matrix, Matrix, Mask]:
     """Return u, y and valid of an experiment, filtered by h, at every factor-th sample."""
     from scipy.signal import upfirdn
 
@@ -198,7 +198,7 @@ def _decimated(part: Signals, h: Vector, factor: int) -> tuple[Matrix, Matrix, M
     return (
         upfirdn(h, part.u, down=factor, axis=0)[rows],
         upfirdn(h, y, down=factor, axis=0)[rows] + level,
-        _known_for(part.valid, h.size)[h.size - 1 :: factor],
+        _full_windows(part.valid, h.size)[h.size - 1 :: factor],
     )
 
 
@@ -221,19 +221,19 @@ def _memory(sections: Matrix) -> int:
             )
 
 
-def _held(y: Vector, valid: Mask) -> Vector:
+def _hold_last(y: Vector, valid: Mask) -> Vector:
     """Return y with its last valid value held in each gap."""
     if not valid.any():
         return np.zeros(y.size)
-    known = np.flatnonzero(valid)
-    before = np.clip(np.searchsorted(known, np.arange(y.size), side="right") - 1, 0, None)
-    return np.asarray(y[known[before]])
+    indices = np.flatnonzero(valid)
+    before = np.clip(np.searchsorted(indices, np.arange(y.size), side="right") - 1, 0, None)
+    return np.asarray(y[indices[before]])
 
 
-def _known_for(valid: Mask, memory: int) -> Mask:
+def _full_windows(valid: Mask, memory: int) -> Mask:
     """Return a mask (N, ny), True where the last `memory` samples of an output are all valid."""
     count = np.insert(np.cumsum(valid, axis=0), 0, 0, axis=0)
-    whole = np.zeros(valid.shape, dtype=np.bool_)
+    complete = np.zeros(valid.shape, dtype=np.bool_)
     if len(valid) >= memory:
-        whole[memory - 1 :] = count[memory:] - count[:-memory] == memory
-    return whole
+        complete[memory - 1 :] = count[memory:] - count[:-memory] == memory
+    return complete

@@ -14,7 +14,7 @@ from armrig.data.experiments import Trend
 from armrig.data.finding import Finding, warning
 from armrig.numerics.criteria import mdl
 from armrig.numerics.least_squares import column_norms, least_squares, orthonormal
-from armrig.numerics.polynomial import Array, filtered, lagged
+from armrig.numerics.polynomial import Array, apply_filter, lag_columns
 from armrig.numerics.regressors import Whitening, whitening
 from armrig.numerics.rounding import SHARE, is_constant, rounding_std
 from armrig.numerics.whiteness import BAND_99_PERCENT, autoregression
@@ -41,7 +41,7 @@ class IntegratingOutputWarning(UserWarning):
     """A linear trend was removed from an output that integrates its input."""
 
 
-def known_to_integrate(output: str) -> bool:
+def integrates_by_name(output: str) -> bool:
     """Return whether an output integrates by construction, as an angle of the arm may."""
     from armrig_core.telemetry.channels import INTEGRATING_OUTPUTS  # 25 ms, rarely needed
 
@@ -57,7 +57,7 @@ def integrating(data: Dataset | Signals, output: str | None = None) -> Finding |
     signals = data.signals()
     i = signals.output(output)
     name = signals.outputs[i]
-    if known_to_integrate(name):
+    if integrates_by_name(name):
         return warning("integrator", f"{name} integrates its input")
     tested = pole_test(signals, i)
     return _evidence(name, tested) if tested and tested.integrates else None
@@ -125,17 +125,17 @@ def pole_test(data: Signals, i: int) -> PoleTest | None:
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 16.4 (likelihood ratio).
     .. [2] K. Steiglitz, L. E. McBride, IEEE Trans. Automatic Control 10 (1965) 461-464.
     """
-    parts = [_averaged(part.u, part.y[:, i], data.N) for part in data.experiments()]
+    parts = [_block_means(part.u, part.y[:, i], data.N) for part in data.experiments()]
     parts = [(u, y) for u, y in parts if y.size > 1]
-    known = sum(int(np.isfinite(y).sum()) for _, y in parts)
-    order, lags = min(_ORDER, known // 20), min(_LAGS, known // 5) // data.nu + 1
+    count = sum(int(np.isfinite(y).sum()) for _, y in parts)
+    order, lags = min(_ORDER, count // 20), min(_LAGS, count // 5) // data.nu + 1
     if order < 2 or is_constant(np.concatenate([y for _, y in parts])):
         return None
     longest = max(y.size for _, y in parts)
     if all(_unstable(whitening(parts, n)) for n in (order, order // 2 + 1)):
         return PoleTest(rise=np.inf, share=0.0, p_effect=0.0)
-    found = [_likelihood(parts, A, lags, longest) for A in _denominators(parts, order)]
-    tests = [one for one in found if one is not None]
+    candidates = [_likelihood(parts, A, lags, longest) for A in _denominators(parts, order)]
+    tests = [candidate for candidate in candidates if candidate is not None]
     return min(tests, key=lambda one: one[0])[1] if tests else None
 
 
@@ -144,7 +144,10 @@ def _likelihood(
 ) -> tuple[float, PoleTest] | None:
     """Return the least loss with the fast poles of A, and the test; None with too few samples."""
     F, marks = _fast_poles(A), np.eye(len(parts))
-    model = [_Experiment.of(*part, F, lags, mark) for part, mark in zip(parts, marks, strict=True)]
+    model = [
+        _ExperimentRegressors.of(*part, F, lags, mark)
+        for part, mark in zip(parts, marks, strict=True)
+    ]
     poles = np.append(np.exp(-1 / np.geomspace(2, 20 * longest, _POLES)), 1.0)
     curves, effects = [], []
     slow = [part.slow(poles) for part in model]
@@ -172,7 +175,7 @@ def _likelihood(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Experiment:
+class _ExperimentRegressors:
     """Regressors of one experiment for a given slow pole."""
 
     w: Array
@@ -185,15 +188,17 @@ class _Experiment:
     """1 at the index of this experiment, else 0."""
 
     @classmethod
-    def of(cls, u: Array, y: Vector, F: Array, lags: int, mark: Vector) -> _Experiment:
+    def of(cls, u: Array, y: Vector, F: Array, lags: int, mark: Vector) -> _ExperimentRegressors:
         """Return the regressors; the free response of the fast poles has its own coefficients."""
-        w = filtered([1.0], F, (u - u[0]).T).T
-        pulse = filtered([1.0], F, np.eye(1, y.size)[0])
-        own = np.column_stack([lagged(pulse, range(F.size - 1)), np.ones(y.size)])
-        fixed = np.hstack([*(lagged(x, range(lags)) for x in w.T), np.kron(mark, own)])
+        w = apply_filter([1.0], F, (u - u[0]).T).T
+        pulse = apply_filter([1.0], F, np.eye(1, y.size)[0])
+        free_response = np.column_stack([lag_columns(pulse, range(F.size - 1)), np.ones(y.size)])
+        fixed = np.hstack(
+            [*(lag_columns(x, range(lags)) for x in w.T), np.kron(mark, free_response)]
+        )
         # The inputs before the start are not known.
-        known = np.arange(y.size) >= min(lags, y.size // 10)
-        return cls(w=w, fixed=fixed, y=np.where(known, y, np.nan), mark=mark)
+        after_start = np.arange(y.size) >= min(lags, y.size // 10)
+        return cls(w=w, fixed=fixed, y=np.where(after_start, y, np.nan), mark=mark)
 
     def slow(self, poles: Vector) -> Array:
         """Return each pole's response to the initial state, and to each input, (n, poles, d)."""
@@ -201,32 +206,36 @@ class _Experiment:
         columns = []
         for pole in poles:
             free = t if pole == 1 else np.expm1(t * np.log(pole)) / (pole - 1)
-            response = filtered([1.0], [1.0, -pole], self.w.T).T
+            response = apply_filter([1.0], [1.0, -pole], self.w.T).T
             columns.append(np.hstack([np.outer(free, self.mark), response]))
         return np.stack(columns, axis=1)
 
 
-def _whitened(model: list[_Experiment], D: Vector, columns: list[Array]) -> tuple[Array, Vector]:
+def _whiten(
+    model: list[_ExperimentRegressors], D: Vector, columns: list[Array]
+) -> tuple[Array, Vector]:
     """Return the columns and y of all experiments, filtered by D, where y is known."""
     rows, targets = [], []
     for part, M in zip(model, columns, strict=True):
         y = np.convolve(part.y, D)[: part.y.size]
-        known = np.isfinite(y) & (np.arange(y.size) >= D.size - 1)
-        rows.append(filtered(D, [1.0], M.T).T[known])
-        targets.append(y[known])
+        finite = np.isfinite(y) & (np.arange(y.size) >= D.size - 1)
+        rows.append(apply_filter(D, [1.0], M.T).T[finite])
+        targets.append(y[finite])
     X = np.vstack(rows)
     before = np.sqrt(sum(np.sum(M**2, axis=0) for M in columns)) * float(np.abs(D).sum())
     X[:, np.linalg.norm(X, axis=0) < _REMOVED * before] = 0.0
     return X, np.concatenate(targets)
 
 
-def _curve(model: list[_Experiment], D: Vector, slow: list[Array]) -> tuple[Vector, int, float]:
+def _curve(
+    model: list[_ExperimentRegressors], D: Vector, slow: list[Array]
+) -> tuple[Vector, int, float]:
     """Return the loss for each slow pole, the degrees of freedom, and the p value at the last."""
     from scipy.special import chdtrc
 
     _, count, d = slow[0].shape
-    M, y = _whitened(model, D, [part.fixed for part in model])
-    X, _ = _whitened(model, D, [x.reshape(-1, count * d) for x in slow])
+    M, y = _whiten(model, D, [part.fixed for part in model])
+    X, _ = _whiten(model, D, [x.reshape(-1, count * d) for x in slow])
     basis = orthonormal(M)
     degrees = y.size - basis.rank - d
     if degrees < _MIN_DEGREES:
@@ -243,10 +252,12 @@ def _curve(model: list[_Experiment], D: Vector, slow: list[Array]) -> tuple[Vect
     return losses / y.size, degrees, float(chdtrc(d - len(model), effect))
 
 
-def _noise(model: list[_Experiment], D: Vector, slow: list[Array], fixed: Vector) -> Vector:
+def _noise(
+    model: list[_ExperimentRegressors], D: Vector, slow: list[Array], fixed: Vector
+) -> Vector:
     """Return the autoregression of the noise, filtered by `fixed`, at a slow pole."""
     columns = [np.hstack([part.fixed, x]) for part, x in zip(model, slow, strict=True)]
-    M, y = _whitened(model, D, columns)
+    M, y = _whiten(model, D, columns)
     theta = least_squares(M, y[:, None])[:, 0]
     errors = (part.y - X @ theta for part, X in zip(model, columns, strict=True))
     least = rounding_std(*(part.y for part in model))
@@ -254,7 +265,7 @@ def _noise(model: list[_Experiment], D: Vector, slow: list[Array], fixed: Vector
     return autoregression(filtered_errors, mdl, least)[0]
 
 
-def _averaged(u: Array, y: Vector, N: int) -> tuple[Array, Vector]:
+def _block_means(u: Array, y: Vector, N: int) -> tuple[Array, Vector]:
     """Return the signals of an experiment; means over blocks if the data have many samples."""
     n = -(-N // _MAX_SAMPLES)
     stop = y.size - y.size % n
@@ -283,7 +294,7 @@ def _denominators(parts: list[tuple[Array, Vector]], order: int) -> Iterator[Arr
     for _ in range(_PREFILTERS):
         D = _inside(A)
         A = whitening(
-            [(filtered([1.0], D, u.T).T, filtered([1.0], D, y)) for u, y in parts], order
+            [(apply_filter([1.0], D, u.T).T, apply_filter([1.0], D, y)) for u, y in parts], order
         ).A
     yield A
 
@@ -377,14 +388,14 @@ class Integration:
         """Notes for the result, with the evidence from the test; () without evidence."""
         if not self.reason:
             return ()
-        what = "taken as integrating (--assume settling, in Python integrator=False, changes this)"
-        return (f"{self.reason}: {what}",)
+        note = "taken as integrating (--assume settling, in Python integrator=False, changes this)"
+        return (f"{self.reason}: {note}",)
 
 
 def integration(
-    data: Dataset, integrator: bool | None, whole: Signals | None = None
+    data: Dataset, integrator: bool | None, all_inputs: Signals | None = None
 ) -> Integration:
-    """Decide whether the output is taken as integrating; `whole` has all inputs of the output.
+    """Decide whether the output is taken as integrating; `all_inputs` has all inputs of the output.
 
     If `integrator` is given, its value is the decision. Otherwise an output integrates if its name
     is theta_1, or if `pole_test` finds an integrator. In this last case, the notes report the
@@ -394,20 +405,20 @@ def integration(
     """
     if integrator is not None:
         return Integration(integrates=integrator)
-    found = pole_test(data.signals(), 0)
-    if known_to_integrate(data.output):
-        returns = found is not None and found.rise > _MAX_RISE and found.share < _MIN_RECORD_SHARE
+    test = pole_test(data.signals(), 0)
+    if integrates_by_name(data.output):
+        returns = test is not None and test.rise > _MAX_RISE and test.share < _MIN_RECORD_SHARE
         return Integration(integrates=True, rejected=returns)
-    if found is None:
+    if test is None:
         return Integration(integrates=False, undecided=True)
-    if (found.integrates or found.undecided) and whole is not None and whole.nu > 1:
-        together = pole_test(whole, 0)
+    if (test.integrates or test.undecided) and all_inputs is not None and all_inputs.nu > 1:
+        together = pole_test(all_inputs, 0)
         if together is not None and together.rise > _MAX_RISE and np.isfinite(together.rise):
-            others = tuple(name for name in whole.inputs if name != data.input)
+            others = tuple(name for name in all_inputs.inputs if name != data.input)
             return Integration(integrates=False, others=others)
     return Integration(
-        integrates=found.integrates,
-        reason=_evidence(data.output, found).text if found.integrates else "",
-        undecided=found.undecided,
-        unstable=bool(np.isinf(found.rise)),
+        integrates=test.integrates,
+        reason=_evidence(data.output, test).text if test.integrates else "",
+        undecided=test.undecided,
+        unstable=bool(np.isinf(test.rise)),
     )

@@ -58,14 +58,14 @@ def wrong_samples(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -
     """
     if not any(_gross(y).any() for _, y in parts) and whitening(parts, n).exact:
         return [np.zeros(y.size, dtype=np.bool_) for _, y in parts]
-    backwards = _marked([(u[::-1], y[::-1]) for u, y in parts], n, _EARLY_FACTOR * limit)
+    backwards = _mark_outliers([(u[::-1], y[::-1]) for u, y in parts], n, _EARLY_FACTOR * limit)
     early = [
         wrong[::-1] & _lacks_past(y, n) for (_, y), (wrong, _) in zip(parts, backwards, strict=True)
     ]
     forwards = _forwards(parts, backwards, early, n, limit)
     if any(marked.any() for marked in early):
         right = [np.where(m, np.nan, y) for m, (_, y) in zip(early, forwards, strict=True)]
-        unexplained = _unexplained(parts, right, n, limit)
+        unexplained = _mask_unexplained(parts, right, n, limit)
         early = [marked & mask for marked, mask in zip(early, unexplained, strict=True)]
         forwards = _forwards(parts, backwards, early, n, limit)
     return [marked | wrong for marked, (wrong, _) in zip(early, forwards, strict=True)]
@@ -83,10 +83,10 @@ def _forwards(
         (u, np.where(marked, expected[::-1], y))
         for (u, y), (_, expected), marked in zip(parts, backwards, early, strict=True)
     ]
-    return _marked(corrected, n, limit)
+    return _mark_outliers(corrected, n, limit)
 
 
-def _unexplained(
+def _mask_unexplained(
     parts: Sequence[tuple[Array, Vector]], right: Sequence[Vector], n: int, limit: float
 ) -> list[Mask]:
     """Return a mask, True where later y, and u before and after y, do not explain y."""
@@ -111,21 +111,21 @@ def _lacks_past(y: Vector, n: int) -> Mask:
     return missing[:-1] > before
 
 
-def _marked(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -> list[_Found]:
+def _mark_outliers(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -> list[_Found]:
     """Return a mask of the outliers of each experiment, and y with model values at the outliers."""
     # Samples of another order of magnitude would dominate the first model.
     gross = [_gross(y) for _, y in parts]
     none = [np.zeros(y.size, dtype=np.bool_) for _, y in parts]
     most = int(MOST * sum(y.size for _, y in parts))
     if not any(marked.any() for marked in gross):
-        return _searched(parts, n, limit, none, most)
-    at_rest = [_bridged(y, marked) for (_, y), marked in zip(parts, gross, strict=True)]
+        return _search_outliers(parts, n, limit, none, most)
+    at_rest = [_bridge(y, marked) for (_, y), marked in zip(parts, gross, strict=True)]
     if all(map(is_constant, at_rest)):
         return list(zip(gross, at_rest, strict=True))
-    found = _searched(parts, n, limit, gross, most)
-    count = _count(wrong for wrong, _ in found)
-    without = _searched(parts, n, limit, none, min(most, count))
-    return without if _count(wrong for wrong, _ in without) < count else found
+    outliers = _search_outliers(parts, n, limit, gross, most)
+    count = _count(wrong for wrong, _ in outliers)
+    without = _search_outliers(parts, n, limit, none, min(most, count))
+    return without if _count(wrong for wrong, _ in without) < count else outliers
 
 
 def _count(wrong: Iterable[Mask]) -> int:
@@ -136,24 +136,24 @@ def _gross(y: Vector) -> Mask:
     """Return a mask, True where y is far from the median of its neighbours: a gross error."""
     from scipy.ndimage import median_filter
 
-    known = np.flatnonzero(np.isfinite(y))
+    finite = np.flatnonzero(np.isfinite(y))
     wrong = np.zeros(y.size, dtype=np.bool_)
-    if known.size > _MEDIAN_SAMPLES:
-        off = np.abs(y[known] - median_filter(y[known], _MEDIAN_SAMPLES, mode="nearest"))
+    if finite.size > _MEDIAN_SAMPLES:
+        off = np.abs(y[finite] - median_filter(y[finite], _MEDIAN_SAMPLES, mode="nearest"))
         # Most samples of a signal at rest are equal to the median. The typical deviation is
         # therefore the median of the deviations other than 0: one quantisation step is not gross.
         # If hardly any sample differs, these samples are the errors.
-        few = np.count_nonzero(off) <= max(1, known.size // _SAMPLES_PER_SPIKE)
+        few = np.count_nonzero(off) <= max(1, finite.size // _SAMPLES_PER_SPIKE)
         typical = 0.0 if few else float(np.median(off[off > 0]))
-        wrong[known] = off > _GROSS_RATIO * max(typical, rounding_std(y))
+        wrong[finite] = off > _GROSS_RATIO * max(typical, rounding_std(y))
     return wrong
 
 
-def _searched(
+def _search_outliers(
     parts: Sequence[tuple[Array, Vector]], n: int, limit: float, wrong: list[Mask], most: int
 ) -> list[_Found]:
     """Return masks of `wrong` and further outliers, and y with model values at the outliers."""
-    expected = [(u, _bridged(y, marked)) for (u, y), marked in zip(parts, wrong, strict=True)]
+    expected = [(u, _bridge(y, marked)) for (u, y), marked in zip(parts, wrong, strict=True)]
     seen = set()
     for _ in range(_MAX_ROUNDS):
         model = whitening(expected, n)
@@ -170,14 +170,14 @@ def _searched(
             break
         for (u, y), (_, y_expected), s_x, marked in zip(parts, expected, s, wrong, strict=True):
             y_expected[:] = _expect(model, u, y, marked, s_x * limit)
-        found = b"".join(marked.tobytes() for marked in wrong)
-        if found in seen:
+        signature = b"".join(marked.tobytes() for marked in wrong)
+        if signature in seen:
             break
-        seen.add(found)
+        seen.add(signature)
     return [(marked, y) for marked, (_, y) in zip(wrong, expected, strict=True)]
 
 
-def _bridged(y: Vector, wrong: Mask) -> Vector:
+def _bridge(y: Vector, wrong: Mask) -> Vector:
     """Return a copy of y, interpolated at the wrong samples."""
     bridged = y.copy()
     right = np.flatnonzero(np.isfinite(y) & ~wrong)
@@ -193,12 +193,12 @@ def _robust_stds(x: Vector, levels: Array, parts: Sequence[tuple[Array, Vector]]
 
     s = _robust_std(x, parts)
     stds = np.full(x.size, s)
-    known = np.flatnonzero(np.isfinite(x))
-    count = min(known.size // _MIN_LEVEL_SAMPLES, _MAX_LEVELS)
+    finite = np.flatnonzero(np.isfinite(x))
+    count = min(finite.size // _MIN_LEVEL_SAMPLES, _MAX_LEVELS)
     for level in levels.T if count > 1 else ():
-        groups = np.array_split(known[np.argsort(level[known], kind="stable")], count)
+        groups = np.array_split(finite[np.argsort(level[finite], kind="stable")], count)
         mads = np.array([_MAD_TO_STD * np.median(np.abs(x[group])) for group in groups])
-        size = known.size / count / _MAD_LOG_VARIANCE
+        size = finite.size / count / _MAD_LOG_VARIANCE
         deviations = np.log(np.maximum(mads, 1e-3 * s) / s) * np.sqrt(size)
         if np.sum(deviations**2) > chi2.isf(_NOISE_LEVEL, count):
             for group, mad in zip(groups, maximum_filter1d(mads, 3, mode="nearest"), strict=True):
@@ -209,12 +209,12 @@ def _robust_stds(x: Vector, levels: Array, parts: Sequence[tuple[Array, Vector]]
 def _robust_std(x: Vector, parts: Sequence[tuple[Array, Vector]]) -> float:
     # Use the spread of x, not of e: if the noise is not that of an ARX model, e is coloured and the
     # spread of x is larger.
-    known = x[np.isfinite(x)]
-    if known.size == 0:
+    finite = x[np.isfinite(x)]
+    if finite.size == 0:
         raise InputError(
             "no stretch of y is long enough for the model: there are too many gaps; lower the order"
         )
-    mad = float(np.median(np.abs(known)))
+    mad = float(np.median(np.abs(finite)))
     # A lower bound: without noise, rounding errors would be outliers.
     return max(_MAD_TO_STD * mad, rounding_std(*(y for _, y in parts)))
 
@@ -394,16 +394,16 @@ def _outliers(
         wrong = np.zeros(sum(y.size for _, y in parts), dtype=np.bool_)  # a relay's samples
     else:
         wrong = np.concatenate(wrong_samples(parts, n, limit))
-    found = np.flatnonzero(wrong)
-    if found.size > MOST * count:
+    samples = np.flatnonzero(wrong)
+    if samples.size > MOST * count:
         raise InputError(
-            f"{found.size} of {count} samples would be outliers at threshold={limit:.2f}, "
+            f"{samples.size} of {count} samples would be outliers at threshold={limit:.2f}, "
             "which is too many for outliers; plot the data, or raise the threshold"
         )
-    where = ", ".join(map(str, found[:_MAX_LISTED_SAMPLES]))
-    where += ", …" if found.size > _MAX_LISTED_SAMPLES else ""
-    step = f"marked {found.size} of {count} samples of {name} missing as outliers"
-    step += f" (samples {where})" if found.size else ""
+    where = ", ".join(map(str, samples[:_MAX_LISTED_SAMPLES]))
+    where += ", …" if samples.size > _MAX_LISTED_SAMPLES else ""
+    step = f"marked {samples.size} of {count} samples of {name} missing as outliers"
+    step += f" (samples {where})" if samples.size else ""
     step += f": beyond {limit:.2f} robust standard deviations in the residuals of an ARX model of "
     return wrong, f"{step}order {n}"
 

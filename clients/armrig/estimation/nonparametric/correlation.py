@@ -16,9 +16,9 @@ from armrig.data.step import loop_notes, with_notes
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.numerics.checks import require_integers
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.numerics.quantities import digits, plural
-from armrig.numerics.whiteness import autoregression, joined, two_sided
+from armrig.numerics.whiteness import autoregression, join_residuals, two_sided
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -131,11 +131,11 @@ def correlation(data: Dataset, lags: int = 20, *, integrator: bool | None = None
     parts = list(treated.experiments())
     L, _ = autoregression([part.u - np.mean(part.u) for part in parts])
     gap = max(lags, 40)
-    u = joined((_whitened(part.u, L) for part in parts), gap)
-    y = joined((_whitened(part.y, L) for part in parts), gap)
-    R_yu, pairs = _crossed(y, u, lags)
-    R_uu, _ = _crossed(u, u, gap)
-    R_yy, _ = _crossed(y, y, gap)
+    u = join_residuals((_whiten(part.u, L) for part in parts), gap)
+    y = join_residuals((_whiten(part.y, L) for part in parts), gap)
+    R_yu, pairs = _cross_means(y, u, lags)
+    R_uu, _ = _cross_means(u, u, gap)
+    R_yy, _ = _cross_means(y, y, gap)
     if pairs.min() < 10:
         raise InputError(
             f"lags={lags} leaves {plural(int(pairs.min()), 'pair')} of samples at a lag, 10 are "
@@ -157,14 +157,14 @@ def correlation(data: Dataset, lags: int = 20, *, integrator: bool | None = None
     )
 
 
-def _whitened(x: Vector, L: Vector) -> Vector:
+def _whiten(x: Vector, L: Vector) -> Vector:
     """Return x minus its mean, filtered by L(q); NaN where L needs an unknown sample."""
-    y = filtered(L, [1.0], x - np.nanmean(x))
+    y = apply_filter(L, [1.0], x - np.nanmean(x))
     y[: L.size - 1] = np.nan
     return y
 
 
-def _crossed(y: Vector, u: Vector, L: int) -> tuple[Vector, Vector]:
+def _cross_means(y: Vector, u: Vector, L: int) -> tuple[Vector, Vector]:
     """Return the means of y(t + k) u(t), k = -L … L, over known pairs, and the numbers of pairs."""
     means: list[float] = []
     counts: list[int] = []

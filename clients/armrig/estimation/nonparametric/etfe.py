@@ -157,15 +157,15 @@ def _aperiodic(data: Dataset, integrates: bool) -> Lines:
     # The rate is not known at the first sample, so the first u is removed too.
     treated = difference(data)[1:] if integrates else data
     U, Y = (np.fft.rfft(x - np.mean(x)) for x in (treated.u, treated.y))
-    at = _lines(excited(U))
+    at = _lines(strong_lines(U))
     words = "the input has no period: no smoothing, and the scatter does not decrease with N"
     return at, Y[at] / U[at], np.full(at.size, np.nan), treated.N, words
 
 
 def _periodic(data: Dataset, P: int, integrates: bool) -> Lines:
-    U, Y, known = _whole_periods(data, P, 1, integrates=integrates)
-    at = _lines(excited(U))
-    variance = _noise_variance([(U, Y, known)], at)
+    U, Y, n_k = _whole_periods(data, P, 1, integrates=integrates)
+    at = _lines(strong_lines(U))
+    variance = _noise_variance([(U, Y, n_k)], at)
     words = (
         f"{plural(len(Y), 'period')} of {plural(P, 'sample')}, after a transient period: "
         "exact except for noise"
@@ -191,7 +191,7 @@ def period(u: Vector) -> int | None:
     return None
 
 
-def excited(U: NDArray[np.complex128]) -> NDArray[np.bool_]:
+def strong_lines(U: NDArray[np.complex128]) -> NDArray[np.bool_]:
     """Return a mask of the lines whose power exceeds the effects of rounding and PWM."""
     return np.asarray(np.abs(U) > _MIN_LINE_SHARE * np.abs(U).max(initial=0.0))
 
@@ -276,7 +276,7 @@ def bla(
     P = _common_period(parts) if period_length is None else period_length
     require_integers(period_length=(P, 2))
     pairs = [_whole_periods(part, P, transient, integrates=integrates) for part in parts]
-    at = _lines(np.all([excited(U) for U, _, _ in pairs], axis=0))
+    at = _lines(np.all([strong_lines(U) for U, _, _ in pairs], axis=0))
     if at.size == 0:
         raise InputError(
             "no line is excited in all realisations: use the same lines with different phases"
@@ -304,14 +304,14 @@ def bla(
 
 
 def _common_period(parts: Sequence[Dataset]) -> int:
-    found = {period(part.u) for part in parts}
-    if len(found) > 1 or None in found:
-        shown = ", ".join(str(P or "none") for P in sorted(found, key=lambda P: P or 0))
+    periods = {period(part.u) for part in parts}
+    if len(periods) > 1 or None in periods:
+        listing = ", ".join(str(P or "none") for P in sorted(periods, key=lambda P: P or 0))
         raise InputError(
             f"bla needs the same period in all realisations, at least two periods each; got "
-            f"{shown}. Repeat one multisine in each experiment, or give period_length"
+            f"{listing}. Repeat one multisine in each experiment, or give period_length"
         )
-    (P,) = found
+    (P,) = periods
     return P or 0
 
 
@@ -362,5 +362,5 @@ def _notes(R: int, counts: Sequence[int], noise: Vector, total: Vector) -> list[
         return [f"one period in each realisation: {why}"]
     ratio = float(np.mean(total) / np.mean(noise))
     verdict = "nonlinear distortion" if ratio > 2 else "hardly any nonlinear distortion"
-    said = f"variance between realisations is {digits(ratio, 2)} times the variance of the noise"
-    return [f"{said}: {verdict}"]
+    text = f"variance between realisations is {digits(ratio, 2)} times the variance of the noise"
+    return [f"{text}: {verdict}"]

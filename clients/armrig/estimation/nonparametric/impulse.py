@@ -35,7 +35,7 @@ from armrig.numerics.whiteness import (
     Whiteness,
     autoregression,
     default_lags,
-    joined,
+    join_residuals,
     ljung_box,
     two_sided,
 )
@@ -94,7 +94,7 @@ class ImpulseResponse(OfDataset):
     @property
     def died_out(self) -> bool:
         """True if the last tenth of the response (of the rate if y integrates) is about 0."""
-        return died_out(*with_covariance(self))
+        return has_decayed(*with_covariance(self))
 
     @property
     def band_name(self) -> str:
@@ -168,8 +168,8 @@ class ImpulseResponse(OfDataset):
     def __repr__(self) -> str:
         """Return the result as a few lines of text."""
         how = "plain least squares" if self.kernel is None else f"regularised, {self.kernel}"
-        what = f"impulse response of {self.output}, lags 0 … {self.lags[-1]}, Ts {self.Ts:g} s"
-        lines = [f"{what} ({how}; {plural(self.N, 'sample')})"]
+        title = f"impulse response of {self.output}, lags 0 … {self.lags[-1]}, Ts {self.Ts:g} s"
+        lines = [f"{title} ({how}; {plural(self.N, 'sample')})"]
         if self.hyperparameters:
             values = ", ".join(f"{k} {v:.4g}" for k, v in self.hyperparameters.items())
             lines.append(f"  prior: {values}")
@@ -272,10 +272,10 @@ def impulse_response(
             f"n={n} needs at least {plural(needed, 'row')} with all inputs known, got {rows.N} of "
             f"{plural(data.N, 'sample')}; lower the number of lags"
         )
-    estimate = _plain(rows) if kernel is None else _regularised(rows, kernel)
-    found = _response(data, rows, n, estimate, kernel, integrates=integrates)
+    estimate = _plain(rows) if kernel is None else _regularise(rows, kernel)
+    response = _response(data, rows, n, estimate, kernel, integrates=integrates)
     notes = (*loop_notes(data.history), *decided.notes)
-    return replace(found, warnings=(*notes, *found.warnings))
+    return replace(response, warnings=(*notes, *response.warnings))
 
 
 def _response(
@@ -290,7 +290,7 @@ def _response(
     """Return the response with a whiteness test; a response of the rate is also integrated."""
     g, covariance = estimate.g, estimate.covariance
     e = without_rounding(rows.residuals(g), rows.rounding)
-    p = ljung_box(joined(e, 40), default_lags(rows.N))
+    p = ljung_box(join_residuals(e, 40), default_lags(rows.N))
     white = Whiteness(p_value=p, test=LJUNG_BOX)
     g, covariance = g[:n], covariance[:n, :n]
     S = data.Ts * np.tri(n)
@@ -317,8 +317,8 @@ def long_enough(data: Dataset, lags: tuple[int, ...], *, integrator: bool) -> Im
 
     If no number is large enough, the result is the response whose prior has decayed most. The
     spectrum of a truncated response has ripples with the period 2 pi/(n Ts) rad/s. The standard
-    deviations do not include these ripples. `died_out` alone does not detect a truncation, because
-    the band is wide.
+    deviations do not include these ripples. `has_decayed` alone does not detect a truncation,
+    because the band is wide.
     """
 
     def left(response: ImpulseResponse) -> tuple[bool, float]:
@@ -341,7 +341,7 @@ def with_covariance(response: ImpulseResponse) -> tuple[Vector, Matrix]:
     return response.rate, response.rate_covariance
 
 
-def died_out(g: Vector, covariance: Matrix) -> bool:
+def has_decayed(g: Vector, covariance: Matrix) -> bool:
     """Return True if |mean of the last tenth of g| is at most 4 std or at most 2 % of max |g|."""
     tail = max(1, g.size // 10)
     mean = np.full(tail, 1 / tail)
@@ -369,7 +369,7 @@ def _plain(rows: FirRegression) -> Posterior:
     return Posterior(g=g, covariance=covariance, noise_variance=variance, hyperparameters={})
 
 
-def _regularised(rows: FirRegression, kernel: Kernel) -> Posterior:
+def _regularise(rows: FirRegression, kernel: Kernel) -> Posterior:
     R = rows.triangle()
     d = R.shape[0] - 1
     return Evidence(
@@ -384,7 +384,7 @@ def _regularised(rows: FirRegression, kernel: Kernel) -> Posterior:
 def _warnings(
     g: Vector, covariance: Matrix, kernel: Literal["tc", "dc", "ss"] | None, white: Whiteness
 ) -> Iterator[str]:
-    if not died_out(g, covariance):
+    if not has_decayed(g, covariance):
         yield "the response has not decayed at the last lags: give more lags (n)"
     if kernel is not None and white.coloured:
         yield (

@@ -102,7 +102,7 @@ class Evidence:
 
     def posterior(self) -> Posterior:
         """Return the posterior at the hyperparameters that maximise the marginal likelihood."""
-        return self._given(self.likeliest())
+        return self._posterior_at(self.likeliest())
 
     def likeliest(self) -> Vector:
         """Return log kappa, logit lambda and (for "dc") logit rho that maximise the likelihood."""
@@ -150,7 +150,7 @@ class Evidence:
         determinant = float(np.sum(np.log(np.abs(np.diag(T)[:n]))))
         return self.M * float(np.log(max(sse, 1e-300))) + 2 * determinant
 
-    def _given(self, x: Vector) -> Posterior:
+    def _posterior_at(self, x: Vector) -> Posterior:
         L, T = self._triangle(x)
         n = self.r.size
         sigma2 = (float(T[n, n] ** 2) + self.rest) / self.M
@@ -269,13 +269,13 @@ def _experiment(part: Dataset, x: Vector, n: int, *, columns: int) -> FirExperim
     used[: n - 1] = False
     basis = orthonormal(np.vander(np.linspace(-1, 1, part.N), columns)[used]).spread(used)
     y = np.where(used, part.y, 0.0)
-    found = FirExperiment(
+    experiment = FirExperiment(
         windows=windows,
         y=basis.without(y),
         used=used,
         own=basis.Q,
         shadow=np.zeros((basis.rank, n)),
     )
-    for rows in found.parts():
-        found.shadow[:] += basis.Q[rows].T @ windows[rows]
-    return found
+    for rows in experiment.parts():
+        experiment.shadow[:] += basis.Q[rows].T @ windows[rows]
+    return experiment

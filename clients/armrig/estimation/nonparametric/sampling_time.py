@@ -13,7 +13,7 @@ from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
 from armrig.estimation.nonparametric.impulse import impulse_response, long_enough
-from armrig.estimation.nonparametric.spectra import explained, filled
+from armrig.estimation.nonparametric.spectra import coherent_range, fill_outputs
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.estimation.nonparametric.step_analysis import (
     StepAnalysis,
@@ -24,7 +24,7 @@ from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 from armrig.numerics.quantities import digits, plural, times, with_std
 from armrig.numerics.step_times import linear_crossing, rise_time
 from armrig.numerics.stretches import constant
-from armrig.plots.layout import drawn_by, html
+from armrig.plots.layout import html, plot_method
 
 Vector = NDArray[np.float64]
 
@@ -97,7 +97,7 @@ class SamplingTime:
     notes: tuple[str, ...]
     """Notes about the recommendation; `doubts` are the first of these notes."""
 
-    plot = drawn_by("plot_sampling_time", "step response and spectrum")
+    plot = plot_method("plot_sampling_time", "step response and spectrum")
 
     _repr_html_ = html
 
@@ -200,7 +200,7 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     """
     decided = step_integration(data, integrator)
     integrates = decided.integrates
-    steps = _settled_steps(data, integrates=integrates)
+    steps = _analyse_long_steps(data, integrates=integrates)
     stepped = steps is not None
     if steps is None:
         t, response, tau, transient = _from_impulse(data, integrates)
@@ -215,9 +215,9 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
             )
     estimate = _spectrum(data, steps.settling if steps else None, integrates=integrates)
     if not stepped:
-        explained(estimate)
-    known = estimate.magnitude[np.isfinite(estimate.G)]
-    low = float(np.mean(known[: max(1, known.size // 10)]))  # over the lowest frequencies
+        coherent_range(estimate)
+    magnitudes = estimate.magnitude[np.isfinite(estimate.G)]
+    low = float(np.mean(magnitudes[: max(1, magnitudes.size // 10)]))  # over the lowest frequencies
     gain = abs(steps.gain) if steps else low
     first, last = _bandwidth(estimate, gain)
     Ts_step, Ts_spectrum = (2 * np.pi / (SAMPLES_PER_PERIOD * w) for w in (1 / tau, last))
@@ -226,11 +226,11 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     Ts = nearest_125(min(rules) if seen else data.Ts / SPEED_UP)
     omega, power = _power(data, integrates=integrates)
     near = _share(omega, power, NYQUIST_SHARE * np.pi / data.Ts)
-    of = data.output if integrates else ""
+    rate_of = data.output if integrates else ""
     doubts = (
         *decided.notes,
         *(steps.warnings if steps else ()),
-        *_doubts(Ts, data.Ts, last, near, seen=seen, of=of),
+        *_doubts(Ts, data.Ts, last, near, seen=seen, rate_of=rate_of),
     )
     return SamplingTime(
         Ts=Ts,
@@ -256,7 +256,7 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
         power=power / power.max(),
         source=data.source,
         doubts=doubts,
-        notes=(*doubts, *(_reasons(Ts, data.Ts, rules, near, of=of) if seen else ())),
+        notes=(*doubts, *(_reasons(Ts, data.Ts, rules, near, rate_of=rate_of) if seen else ())),
     )
 
 
@@ -267,7 +267,7 @@ def nearest_125(x: float) -> float:
     return float(f"{min(candidates, key=lambda c: abs(np.log(c / x))):.1g}")
 
 
-def _settled_steps(data: Dataset, *, integrates: bool) -> StepAnalysis | None:
+def _analyse_long_steps(data: Dataset, *, integrates: bool) -> StepAnalysis | None:
     """Return the step analysis if u consists of a few long holds in which y settles, else None."""
     # The longest hold of a telegraph signal is no step: its response is a sum of transients.
     lengths = [[s.stop - s.start for s in constant(part.u)] for part in data.experiments()]
@@ -281,10 +281,10 @@ def _settled_steps(data: Dataset, *, integrates: bool) -> StepAnalysis | None:
     if min(between) < max(between) / 2:
         return None
     try:
-        found = step_analysis(data, integrator=integrates)
+        analysis = step_analysis(data, integrator=integrates)
     except ValueError:
         return None
-    return found if found.settling <= min(between) * data.Ts else None
+    return analysis if analysis.settling <= min(between) * data.Ts else None
 
 
 def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, float, float]:
@@ -296,8 +296,8 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
     if abs(gain) <= MIN_GAIN_SHARE * float(np.max(np.abs(y))):
         raise InputError("the step response returns to about 0, so it has no 63 % time")
     t, y = np.append(t[0] - data.Ts, t), np.append(0.0, y / gain)
-    shown = data.Ts * np.cumsum(y[1:]) if integrates else y[1:]
-    crossing = rise_time(shown, data.Ts, integrated=integrates)
+    course = data.Ts * np.cumsum(y[1:]) if integrates else y[1:]
+    crossing = rise_time(course, data.Ts, integrated=integrates)
     if np.isnan(crossing):
         raise InputError("the step response never reaches 63 % of its final value; record longer")
     dead = _dead_time(t, y, linear_crossing(t, y, 0.5), data.Ts)  # not part of any rule
@@ -345,15 +345,15 @@ def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> Sp
 
 def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:
     """Return the first frequency with |G| < gain/sqrt(2), and the last with |G| > gain/sqrt(2)."""
-    known = np.isfinite(estimate.G)
-    omega, magnitude = estimate.omega[known], estimate.magnitude[known]
+    finite = np.isfinite(estimate.G)
+    omega, magnitude = estimate.omega[finite], estimate.magnitude[finite]
     # By chance, |G| exceeds the level at some frequencies that contain only noise. If the coherence
     # excludes these frequencies, a margin of two standard deviations suffices; otherwise four are
     # needed.
     width = 4 if estimate.coherence is None else 2
-    sure = magnitude - width * np.nan_to_num(estimate.std_magnitude[known])
+    sure = magnitude - width * np.nan_to_num(estimate.std_magnitude[finite])
     if estimate.coherence is not None:
-        sure = np.where(estimate.coherence[known] > COHERENT, sure, -np.inf)
+        sure = np.where(estimate.coherence[finite] > COHERENT, sure, -np.inf)
     level = gain / np.sqrt(2)
     below, above = np.flatnonzero(magnitude < level), np.flatnonzero(sure > level)
 
@@ -376,8 +376,8 @@ def _power(data: Dataset, *, integrates: bool) -> tuple[Vector, Vector]:
     """Return frequencies and the spectrum of y (of its rate if y integrates), by Welch's method."""
     from scipy.signal import welch
 
-    whole = filled(data, integrator=integrates)
-    parts = [difference(part)[1:] if integrates else part for part in whole.experiments()]
+    complete = fill_outputs(data, integrator=integrates)
+    parts = [difference(part)[1:] if integrates else part for part in complete.experiments()]
     length = max(8, min(512, min(part.N for part in parts) // 2))
     taper = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
     omega, power = np.linspace(0, np.pi / data.Ts, 257)[1:], np.zeros(256)
@@ -398,9 +398,9 @@ def _share(omega: Vector, power: Vector, above: float) -> float:
 
 
 def _doubts(
-    Ts: float, now: float, bandwidth: float, near: float, *, seen: bool, of: str
+    Ts: float, now: float, bandwidth: float, near: float, *, seen: bool, rate_of: str
 ) -> Iterator[str]:
-    """Yield the reasons to record again; `of` is the output whose rate was analysed, or ""."""
+    """Yield the reasons to record again; `rate_of` is the output whose rate was analysed, or ""."""
     if not seen:
         yield (
             f"63 % is reached within one sample of {times(now)}, so the data do not determine the "
@@ -413,7 +413,7 @@ def _doubts(
             f"the bandwidth is {100 * bandwidth * now / np.pi:.0f} % of these data's Nyquist "
             f"frequency: record at {times(now / SPEED_UP)} and repeat the analysis"
         )
-    if near > MIN_ALIASING_SHARE and not (of and near < MOST_DIFFERENCED):
+    if near > MIN_ALIASING_SHARE and not (rate_of and near < MOST_DIFFERENCED):
         yield (
             f"{digits(100 * near, 2)} % of the power is near Nyquist: noise or aliasing; compare "
             "with a faster recording before you trust the spectrum"
@@ -421,9 +421,9 @@ def _doubts(
 
 
 def _reasons(
-    Ts: float, now: float, rules: tuple[float, float, float], near: float, *, of: str
+    Ts: float, now: float, rules: tuple[float, float, float], near: float, *, rate_of: str
 ) -> Iterator[str]:
-    """Yield the reasons for the recommendation; `of` as for `_doubts`."""
+    """Yield the reasons for the recommendation; `rate_of` as for `_doubts`."""
     names = ("the step's time constant", "the spectrum's bandwidth", "the transient")
     least, most = int(np.argmin(rules)), int(np.argmax(rules))
     yield (
@@ -435,9 +435,9 @@ def _reasons(
             f"the rules differ by a factor {digits(rules[most] / rules[least], 2)}: the response "
             "rises fast and settles slowly, and the fast part decides"
         )
-    if of and MIN_ALIASING_SHARE < near < MOST_DIFFERENCED:
+    if rate_of and MIN_ALIASING_SHARE < near < MOST_DIFFERENCED:
         yield (
-            f"{digits(100 * near, 2)} % of the power is near Nyquist. White noise of {of}, "
+            f"{digits(100 * near, 2)} % of the power is near Nyquist. White noise of {rate_of}, "
             f"differenced for the rate, has {100 * DIFFERENCED:g} % of its power there at any Ts, "
             "so a faster recording does not lower this share"
         )

@@ -12,7 +12,7 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.nonparametric.impulse import impulse_response
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.numerics.quantities import digits, plural
 
 Vector = NDArray[np.float64]
@@ -20,7 +20,8 @@ Complex = NDArray[np.complex128]
 Integers = NDArray[np.int_]
 
 FINE_LAG_RATIO = 4
-"""Ratio of the longer lag window (for the noise and for `blunted`) to the lag window of G."""
+"""Ratio of the longer lag window (for the noise and for `blunting_notes`) to the lag window "
+"of G."""
 MIN_POWER_SHARE = 1e-8
 """Share of the largest value of Phi_u; G is not known at frequencies with a smaller Phi_u."""
 _MIN_BLUNTED_RATIO = 1.1  # least ratio of |G| with the longer window to |G| for a note
@@ -51,7 +52,7 @@ class Spectra:
 
 
 def blackman_tukey(data: Dataset, gamma: Integers, omega: Vector, N: int) -> Spectra:
-    """Return the spectra of data after `filled`; N is the number of measured outputs."""
+    """Return the spectra of data after `fill_outputs`; N is the number of measured outputs."""
     L = int(gamma.max())
     k = np.arange(-L, L + 1)
     w = _hann(k, gamma[:, None])
@@ -76,7 +77,7 @@ def finer(data: Dataset, gamma: int) -> int:
     return min(FINE_LAG_RATIO * gamma, max(data.N // 5, gamma))
 
 
-def blunted(data: Dataset, found: Spectra, gamma: int, omega: Vector, N: int) -> list[str]:
+def blunting_notes(data: Dataset, spectra: Spectra, gamma: int, omega: Vector, N: int) -> list[str]:
     """Return a note if a longer lag window gives a clearly higher |G|.
 
     The window of gamma samples smooths the response over 2 pi/(gamma Ts) rad/s. A resonance that is
@@ -90,18 +91,18 @@ def blunted(data: Dataset, found: Spectra, gamma: int, omega: Vector, N: int) ->
     w = _hann(k, longer)
     phi = data.Ts * (w * np.exp(-1j * omega[:, None] * k * data.Ts)) @ _covariances(data, longer).T
     u, yu = np.real(phi[:, 0]), phi[:, 2]
-    known = np.minimum(u, found.u) > MIN_POWER_SHARE * float(np.max(found.u, initial=0.0))
-    if not known.any():
+    strong = np.minimum(u, spectra.u) > MIN_POWER_SHARE * float(np.max(spectra.u, initial=0.0))
+    if not strong.any():
         return []
-    sharp, blunt = np.abs(yu[known]) / u[known], np.abs(found.yu[known]) / found.u[known]
-    std = np.sqrt(found.noise[known] * float(np.sum(w**2)) / N / u[known])
+    sharp, blunt = np.abs(yu[strong]) / u[strong], np.abs(spectra.yu[strong]) / spectra.u[strong]
+    std = np.sqrt(spectra.noise[strong] * float(np.sum(w**2)) / N / u[strong])
     higher = (sharp - blunt > _BLUNTED_SIGMAS * std) & (sharp > _MIN_BLUNTED_RATIO * blunt)
     if not higher.any():
         return []
     worst = int(np.argmax(np.where(higher, (sharp - blunt) / np.max(sharp), 0.0)))
     return [
         f"the lag window of {plural(gamma, 'sample')} blunts the response near "
-        f"{digits(omega[known][worst], 3)} rad/s: with {plural(longer, 'sample')} |G| is "
+        f"{digits(omega[strong][worst], 3)} rad/s: with {plural(longer, 'sample')} |G| is "
         f"{digits(sharp[worst] / max(blunt[worst], 1e-300), 2)} times as high. For a resonance use "
         f'window={longer} or "log", for a delay give delay='
     ]
@@ -118,21 +119,22 @@ def _noise_covariance(R: Vector, N: int, samples: int) -> Vector:
     L = R.shape[1] // 2
     k = np.arange(-L, L + 1)
     w = _hann(k, L)
-    whole = np.zeros((3, 4 * L))
-    whole[:, k] = w * R  # the FFT expects the negative lags at the end
-    u, y, yu = np.fft.fft(whole)
+    windowed = np.zeros((3, 4 * L))
+    windowed[:, k] = w * R  # the FFT expects the negative lags at the end
+    u, y, yu = np.fft.fft(windowed)
     u = np.real(u)
-    known = u > MIN_POWER_SHARE * float(u.max())
-    explained = np.abs(yu) ** 2 / np.where(known, u, 1.0)
+    strong = u > MIN_POWER_SHARE * float(u.max())
+    explained = np.abs(yu) ** 2 / np.where(strong, u, 1.0)
     nu = N / float(np.sum(w**2))
-    Phi = np.maximum(np.real(y) - np.where(known, explained, 0.0), 0.0)
+    Phi = np.maximum(np.real(y) - np.where(strong, explained, 0.0), 0.0)
     Phi = Phi * nu / max(nu - 1, 1e-3) * samples / N  # filled outputs contain no noise
     return np.asarray(np.real(np.fft.ifft(Phi))[k])
 
 
 def _covariances(data: Dataset, L: int) -> Vector:
     """Return (1/N) sum_t x(t + k) z(t), |k| <= L, for (u, u), (y, y), (y, u), (3, 2 L + 1)."""
-    # Biased, so that the spectrum is positive if that of the lag window is; `filled` has no gaps.
+    # Biased, so that the spectrum is positive if that of the lag window is; `fill_outputs` has no
+    # gaps.
     total = np.zeros((3, 2 * L + 1))
     for part in data.experiments():
         size = 1 << int(np.ceil(np.log2(part.N + L + 1)))
@@ -144,7 +146,7 @@ def _covariances(data: Dataset, L: int) -> Vector:
     return total / data.N
 
 
-def filled(data: Dataset, *, integrator: bool) -> Dataset:
+def fill_outputs(data: Dataset, *, integrator: bool) -> Dataset:
     """Return the data with each missing y replaced by the part that the input explains.
 
     This part is the output of a regularised impulse response plus the level of the experiment. With
@@ -162,15 +164,15 @@ def filled(data: Dataset, *, integrator: bool) -> Dataset:
         u = data.u[a:b] - mean
         x = data.Ts * np.cumsum(u) if integrator else u
         there = data.valid[a:b]
-        explained = filtered(g, [1.0], x)
-        own = np.vander(np.linspace(-1, 1, b - a), 1 + integrator)
-        basis = orthonormal(own[there])
-        free = own @ basis.coefficients((data.y[a:b] - explained)[there])
+        explained = apply_filter(g, [1.0], x)
+        terms = np.vander(np.linspace(-1, 1, b - a), 1 + integrator)
+        basis = orthonormal(terms[there])
+        free = terms @ basis.coefficients((data.y[a:b] - explained)[there])
         y[a:b] = np.where(there, data.y[a:b], explained + free)
     return data.replaced(y=y, valid=np.ones(data.N, dtype=np.bool_), step=None)
 
 
-def explained(estimate: SpectralEstimate) -> Integers:
+def coherent_range(estimate: SpectralEstimate) -> Integers:
     """Return the indices of the frequencies in the range where u explains y.
 
     The range extends from the first to the last frequency at which u explains y; at least three
@@ -185,5 +187,5 @@ def explained(estimate: SpectralEstimate) -> Integers:
             "needed: record longer, or with a "
             "larger or richer input"
         )
-    known = np.flatnonzero(np.isfinite(estimate.G))
-    return np.asarray(known[(known >= good[0]) & (known <= good[-1])])
+    finite = np.flatnonzero(np.isfinite(estimate.G))
+    return np.asarray(finite[(finite >= good[0]) & (finite <= good[-1])])

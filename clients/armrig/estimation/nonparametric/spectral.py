@@ -19,8 +19,8 @@ from armrig.estimation.nonparametric.spectra import (
     MIN_POWER_SHARE,
     Spectra,
     blackman_tukey,
-    blunted,
-    filled,
+    blunting_notes,
+    fill_outputs,
 )
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import column, require_integers
@@ -111,7 +111,7 @@ def spa(
     decided = integration(data, integrator)
     integrates = decided.integrates
     require_integers(delay=(delay, 0))
-    data = _advanced(data, delay) if delay else data
+    data = _advance_output(data, delay) if delay else data
     N = data.N - data.missing
     if N < _LEAST_SAMPLES:
         needed = f"spa needs at least {_LEAST_SAMPLES} samples with an output"
@@ -120,13 +120,13 @@ def spa(
         raise InputError("u is constant: it excites no frequency; record an input that varies")
     w = _frequencies(omega, data, logarithmic=isinstance(window, str))
     gamma = _gamma(window, w, data.Ts, N)
-    whole = filled(data, integrator=integrates)
+    complete = fill_outputs(data, integrator=integrates)
     if integrates:  # the rate is not known at the first sample of an experiment
-        whole = merge([difference(part)[1:] for part in whole.experiments() if part.N > 1])
-    spectra = blackman_tukey(whole, gamma, w, N)
+        complete = merge([difference(part)[1:] for part in complete.experiments() if part.N > 1])
+    spectra = blackman_tukey(complete, gamma, w, N)
     notes = [*loop_notes(data.history), *decided.notes]
     if not isinstance(window, str):
-        notes += blunted(whole, spectra, int(gamma[0]), w, N)
+        notes += blunting_notes(complete, spectra, int(gamma[0]), w, N)
     size = f"{gamma.min()} … {gamma.max()}" if gamma.min() < gamma.max() else str(gamma[0])
     words = f"Blackman-Tukey, Hann lag window, gamma {size} samples"
     words += f", aligned by {plural(delay, 'sample')}" if delay else ""
@@ -134,7 +134,7 @@ def spa(
     return _estimate(data, w, turned, words, N, integrates=integrates, notes=notes)
 
 
-def _advanced(data: Dataset, delay: int) -> Dataset:
+def _advance_output(data: Dataset, delay: int) -> Dataset:
     """Return the data with y advanced by `delay` samples."""
     parts = [part for part in data.experiments() if delay + 1 < part.N]
     if not parts:
@@ -209,7 +209,7 @@ def _estimate(
         relative = np.sqrt(variance) / np.abs(G)
         std_magnitude = np.sqrt(variance * (1 + s.reality) / 2) * np.abs(S)
         std_phase = relative * np.sqrt(np.maximum(1 - s.reality, 0.0) / 2)
-        whole = G * S
+        response = G * S
         noise = s.noise * np.abs(S) ** 2
     if (unknown := int(np.count_nonzero(np.isnan(G)))) > 0:
         notes.append(f"u has no power at {unknown} of {omega.size} frequencies: G is NaN there")
@@ -220,7 +220,7 @@ def _estimate(
         )
     return SpectralEstimate(
         omega=omega,
-        G=whole,
+        G=response,
         std_magnitude=std_magnitude,
         std_phase=std_phase,
         noise_spectrum=noise,

@@ -19,13 +19,13 @@ from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import Integration, integration
 from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.data_faults import require_moving_output
-from armrig.estimation.nonparametric.step_answer import Answer, step_answer
+from armrig.estimation.nonparametric.step_answer import NormalisedResponse, step_answer
 from armrig.estimation.nonparametric.step_process import ProcessAnswer, step_process
 from armrig.numerics.quantities import digits, plural, times, with_std
 from armrig.numerics.rounding import rounding_std
 from armrig.numerics.step_times import SHARE, area_above, lag_of_angle
 from armrig.numerics.stretches import Mask, constant, stretches
-from armrig.plots.layout import drawn_by
+from armrig.plots.layout import plot_method
 
 Vector = NDArray[np.float64]
 
@@ -115,15 +115,15 @@ class StepAnalysis(OfDataset):
         """Bandwidth 1/tau, in rad/s (handout, 3.1.1)."""
         return 1 / self.tau
 
-    plot = drawn_by("plot_step_analysis", "the step response")
+    plot = plot_method("plot_step_analysis", "the step response")
 
     def __repr__(self) -> str:
         """Return the result as a few lines of text."""
         low, high = self.dead_time_interval
         name = self.output
         if self.rate:  # the name that `sampling_time` prints
-            of = next((output for output, rate in RATES.items() if rate == name), "")
-            name = f"the rate of {of}" if of else f"the {name}"
+            angle = next((output for output, rate in RATES.items() if rate == name), "")
+            name = f"the rate of {angle}" if angle else f"the {name}"
         unit = f"{self.unit or '1'}/{self.input_unit or '1'}".replace("1/1", "")
         dead_time = f"{self.dead_time:.4g} s" if self.dead_time or self.form else _UNKNOWN
         gain = f"{with_std(self.gain, self.gain_std)} {unit}".rstrip()
@@ -223,10 +223,10 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     treated = difference(data) if integrates else data
     steps = _steps(treated)
     require_moving_output(data)
-    k, y, weight = _averaged(treated, steps, slope=False)
-    own = y
+    k, y, weight = _mean_response(treated, steps, slope=False)
+    measured = y
     if integrates:
-        _, own, weight = _averaged(data, steps, slope=True)
+        _, measured, weight = _mean_response(data, steps, slope=True)
     t: Vector = np.asarray(data.Ts * (k - 0.5 * integrates), dtype=np.float64)
     tail = y[k >= (2 * k[-1]) // 3]
     tail = tail[np.isfinite(tail)]
@@ -241,7 +241,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         )
     process = None if integrates else _process(y, k, weight, data, steps)
     if process is None:
-        answer = _answer(own, k, weight, data, gain, integrates=integrates)
+        answer = _answer(measured, k, weight, data, gain, integrates=integrates)
     else:
         answer = process.answer
     crossing, L = answer.crossing, answer.dead_time
@@ -252,7 +252,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         )
     unsettled = _left_to_settle(y, k, steps, crossing / data.Ts)
     rising = 0.0 if integrates or process is not None else _left_to_rise(y[k > 0] / gain)
-    hidden = _hidden(own, k, crossing, data.Ts)
+    hidden = _longest_gap(measured, k, crossing, data.Ts)
     notes = (
         *decided.notes,
         *(_warnings(tail / gain, unsettled / gain, answer, hidden, data, process, rising)),
@@ -273,31 +273,31 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         return StepAnalysis(**common, **_process_numbers(process, unsettled))
     low, high = answer.dead_time_interval
     L_std = (high - low) / 4 if L else 0.0
-    lag, lag_std = _lag(own, k, data, steps, (gain, gain_std), integrates=integrates)
+    lag, lag_std = _lag(measured, k, data, steps, (gain, gain_std), integrates=integrates)
     above, above_std = answer.overshoot
     above = above if above_std < _MAX_OVERSHOOT_STD else float("nan")
     gain_std = float(np.linalg.norm([gain_std, unsettled, rising * gain]))
-    # A multiplication by `known` makes a number NaN that the record does not determine.
-    known = 1.0 if rising < _MAX_RELATIVE_STD else np.nan
+    # A multiplication by `determined` makes a number NaN that the record does not determine.
+    determined = 1.0 if rising < _MAX_RELATIVE_STD else np.nan
     return StepAnalysis(
         **common,
         form="",
-        gain=known * gain,
-        gain_std=known * gain_std,
+        gain=determined * gain,
+        gain_std=determined * gain_std,
         gain_interval=(gain - 1.96 * gain_std, gain + 1.96 * gain_std),
         time_constants=(),
         time_constants_std=(),
-        tau=known * (crossing - L),
+        tau=determined * (crossing - L),
         tau_std=float(
             np.linalg.norm(
                 [answer.tau_std, _CURVE_ERROR * data.Ts**2 / crossing, rising * crossing]
             )
         ),
-        equivalent_time=known * (lag - L),
+        equivalent_time=determined * (lag - L),
         equivalent_time_std=float(np.linalg.norm([lag_std, L_std, rising * lag])),
         smooth=answer.y * gain,
         smooth_std=answer.std * abs(gain),
-        settling=known * answer.settling,
+        settling=determined * answer.settling,
         settling_std=float(np.hypot(answer.settling_std, rising * answer.settling)),
         overshoot=above,
         overshoot_std=above_std,
@@ -391,7 +391,7 @@ def step_integration(data: Dataset, integrator: bool | None) -> Integration:
         return decided
     try:
         steps = _steps(data)
-        k, y, weight = _averaged(data, steps, slope=False)
+        k, y, weight = _mean_response(data, steps, slope=False)
     except InputError:
         return decided
     process = _process(y, k, weight, data, steps)
@@ -425,20 +425,20 @@ class _Steps(NamedTuple):
 
 
 def _steps(data: Dataset) -> _Steps:
-    found = []
+    candidates = []
     for i, part in enumerate(data.experiments()):
         for before, after in pairwise(constant(part.u)):
             pre, post = before.stop - before.start, after.stop - after.start
-            known = int(np.count_nonzero(part.valid[before]))
-            if min(known, post) >= MIN_HOLD_SAMPLES:
-                found.append((i, after.start, pre, post))
-    if not found:
+            count = int(np.count_nonzero(part.valid[before]))
+            if min(count, post) >= MIN_HOLD_SAMPLES:
+                candidates.append((i, after.start, pre, post))
+    if not candidates:
         raise InputError(
             f"u has no step with {MIN_HOLD_SAMPLES} constant samples before and after; record "
             "armrig.step(N, at=50), or use impulse_response(data).step_response()"
         )
-    longest = max(min(pre, post) for _, _, pre, post in found)
-    kept = [f for f in found if min(f[2], f[3]) >= longest // 2]
+    longest = max(min(pre, post) for _, _, pre, post in candidates)
+    kept = [f for f in candidates if min(f[2], f[3]) >= longest // 2]
     pre, post = min(f[2] for f in kept), min(f[3] for f in kept)
     valid = [part.valid for part in data.experiments()]
     at = [f[:2] for f in kept if np.count_nonzero(valid[f[0]][_before(f[1], pre)]) >= 2]
@@ -462,7 +462,7 @@ def _before(at: int, pre: int) -> slice:
     return slice(at - pre // 2 - 1, at)
 
 
-def _averaged(
+def _mean_response(
     data: Dataset, steps: _Steps, *, slope: bool
 ) -> tuple[NDArray[np.int_], Vector, Vector]:
     """Return sample numbers from the step on, the mean response to a unit step, and weights."""
@@ -475,13 +475,13 @@ def _averaged(
         part = parts[i]
         size = part.u[at] - part.u[at - 1]
         near = _before(at, steps.pre)
-        y, known = part.y[at - steps.pre : at + steps.post], part.valid[near]
-        there = np.arange(near.start - at, 0)[known]
-        before = np.polyfit(there, part.y[near][known], 1 if slope else 0)
+        y, valid = part.y[at - steps.pre : at + steps.post], part.valid[near]
+        there = np.arange(near.start - at, 0)[valid]
+        before = np.polyfit(there, part.y[near][valid], 1 if slope else 0)
         y = y - np.polyval(before, k)
-        known = np.isfinite(y)
-        total[known] += size * y[known]
-        weight[known] += size**2
+        finite = np.isfinite(y)
+        total[finite] += size * y[finite]
+        weight[finite] += size**2
     with np.errstate(invalid="ignore"):
         return k, np.where(weight > 0, total / weight, np.nan), weight
 
@@ -502,7 +502,7 @@ def _left_to_settle(y: Vector, k: NDArray[np.int_], steps: _Steps, crossing: flo
 
 def _answer(
     y: Vector, k: NDArray[np.int_], weight: Vector, data: Dataset, gain: float, *, integrates: bool
-) -> Answer:
+) -> NormalisedResponse:
     """Return the posterior of the response divided by the gain."""
     y = np.where(_alone(np.isfinite(y)) & (k >= 0), np.nan, y / gain)
     # Rounding by a converter looks smooth if y moves slowly, and would count as signal.
@@ -540,20 +540,20 @@ def _lag(
         )
     value, std = gain
     rising = (k >= 0) & ~settled
-    own = float(np.nanstd(y[settled])) / abs(value)
-    return area_above(data.Ts * k[rising], y[rising] / value, own, std / abs(value))
+    noise_std = float(np.nanstd(y[settled])) / abs(value)
+    return area_above(data.Ts * k[rising], y[rising] / value, noise_std, std / abs(value))
 
 
-def _alone(known: Mask) -> Mask:
+def _alone(valid: Mask) -> Mask:
     """Return a mask of single samples between gaps, as at the end of a potentiometer's track."""
-    alone = np.zeros_like(known)
-    gaps = [g for g in stretches(~known) if g.stop - g.start >= MIN_GAP_SAMPLES]
+    alone = np.zeros_like(valid)
+    gaps = [g for g in stretches(~valid) if g.stop - g.start >= MIN_GAP_SAMPLES]
     for before, after in pairwise(gaps):
         alone[before.stop : after.start] = after.start - before.stop == 1
     return alone
 
 
-def _hidden(
+def _longest_gap(
     y: Vector, k: NDArray[np.int_], crossing: float, Ts: float
 ) -> tuple[float, float] | None:
     """Return begin and end of the longest gap on the rise, in s, or None if there is no gap."""
@@ -568,7 +568,7 @@ def _hidden(
 def _warnings(
     tail: Vector,
     unsettled: float,
-    answer: Answer,
+    answer: NormalisedResponse,
     hidden: tuple[float, float] | None,
     data: Dataset,
     process: ProcessAnswer | None = None,

@@ -47,7 +47,7 @@ _MAX_CURVE_VALUES = 4_000_000  # number of values in memory at once
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Answer:
+class NormalisedResponse:
     """Step response divided by its final value, with times and peaks of randomly drawn curves."""
 
     t: Vector
@@ -137,7 +137,7 @@ def step_answer(
     integrates: bool,
     band: float,
     least_variance: float = 0.0,
-) -> Answer:
+) -> NormalisedResponse:
     """Return the posterior of the response to a step at k = 0.
 
     k (N,) is the number of each sample relative to the step, negative before the step. y (N,) is
@@ -154,8 +154,8 @@ def step_answer(
     .. [2] G. Pillonetto, F. Dinuzzo, T. Chen, G. De Nicolao, L. Ljung, "Kernel methods in system
        identification, machine learning and function estimation", Automatica 50 (2014) 657-682.
     """
-    record = _Record(k, y, weight, Ts, integrates=integrates, least_variance=least_variance)
-    splines, shares, none = _weighed(record)
+    record = _StepSamples(k, y, weight, Ts, integrates=integrates, least_variance=least_variance)
+    splines, shares, none = _weigh_splines(record)
     counts = np.diff(np.floor(np.cumsum(shares) * DRAWS + 0.5).astype(int), prepend=0)
     size = record.t.size
     total, squares = np.zeros(size), np.zeros(size)
@@ -165,11 +165,11 @@ def step_answer(
             total += curves.sum(axis=1)
             squares += (curves**2).sum(axis=1)
             delays = np.full(curves.shape[1], record.dt * spline.delay)
-            settled = _settled(record.t, curves, band)
-            read.append((_reached(record.t, curves), delays, settled, curves.max(axis=0)))
+            settled = _settling_times(record.t, curves, band)
+            read.append((_crossing_times(record.t, curves), delays, settled, curves.max(axis=0)))
     crossings, delays, settlings, peaks = (np.concatenate(x) for x in zip(*read, strict=True))
     mean = total / DRAWS
-    return Answer(
+    return NormalisedResponse(
         t=record.t,
         y=mean,
         std=np.sqrt(np.maximum(squares / DRAWS - mean**2, 0.0)),
@@ -181,7 +181,7 @@ def step_answer(
     )
 
 
-def _reached(t: Vector, curves: Vector) -> Vector:
+def _crossing_times(t: Vector, curves: Vector) -> Vector:
     """Return the time at which each curve (n, draws) first reaches 63 % of its final value 1."""
     i = np.argmax(curves >= SHARE, axis=0)
     here, columns = curves[i, np.arange(i.size)], np.arange(i.size)
@@ -191,7 +191,7 @@ def _reached(t: Vector, curves: Vector) -> Vector:
     return np.asarray(since + share * (t[i] - since))
 
 
-def _settled(t: Vector, curves: Vector, band: float) -> Vector:
+def _settling_times(t: Vector, curves: Vector, band: float) -> Vector:
     """Return the time after which each curve (n, draws) stays within the band about 1."""
     last = t.size - 1 - np.argmax(np.abs(curves - 1)[::-1] > band, axis=0)
     return np.asarray((t[last] + t[np.minimum(last + 1, t.size - 1)]) / 2)
@@ -218,7 +218,7 @@ class _Spline:
     """-2 log of the restricted likelihood, up to a constant."""
 
 
-class _Record:
+class _StepSamples:
     """Samples of the response, and the time grid for the curves."""
 
     def __init__(
@@ -262,9 +262,9 @@ class _Record:
         solved = cho_solve_banded((factor, False), seen, check_finite=False)
         # One step of iterative refinement: if the noise is small, A has large elements, which cause
         # rounding errors.
-        rest = seen - _penalised(solved, cost, d)
-        rest[at] -= w[:, None] * solved[at]
-        solved += cho_solve_banded((factor, False), rest, check_finite=False)
+        residual = seen - _apply_penalty(solved, cost, d)
+        residual[at] -= w[:, None] * solved[at]
+        solved += cho_solve_banded((factor, False), residual, check_finite=False)
         weighted = self._w[:, None] * self._X
         left = self._X.T @ weighted - seen[:, 1:].T @ solved[:, 1:]
         lines_cov = np.linalg.inv(left)
@@ -288,17 +288,19 @@ class _Record:
             criterion=criterion if np.isfinite(criterion) else np.inf,
         )
 
-    def drawn(self, of: _Spline, count: int, rng: np.random.Generator) -> Iterator[Vector]:
+    def drawn(self, spline: _Spline, count: int, rng: np.random.Generator) -> Iterator[Vector]:
         """Yield `count` curves in blocks (n, ·), each curve divided by its final value."""
         most = max(1, _MAX_CURVE_VALUES // self.size)
-        std, root = np.sqrt(of.variance), np.linalg.cholesky(of.lines_cov)
+        std, root = np.sqrt(spline.variance), np.linalg.cholesky(spline.lines_cov)
         for first in range(0, count, most):
             n = min(most, count - first)
-            noise = rng.standard_normal((n, of.z.size + self._order - 1)).T
-            own = solve_banded((0, self._order), of.factor, noise[: of.z.size], check_finite=False)
-            own -= of.lines @ (root @ noise[of.z.size :])
+            noise = rng.standard_normal((n, spline.z.size + self._order - 1)).T
+            deviation = solve_banded(
+                (0, self._order), spline.factor, noise[: spline.z.size], check_finite=False
+            )
+            deviation -= spline.lines @ (root @ noise[spline.z.size :])
             z = np.zeros((self.size + 1, n))
-            z[of.delay + 1 :] = of.z[:, None] + std * own
+            z[spline.delay + 1 :] = spline.z[:, None] + std * deviation
             y = np.diff(z, axis=0) / self.dt if self._order == 3 else z
             # With strong noise a curve may end near 0, so the divisor is at least 0.1.
             yield y / np.maximum(y[-1], 0.1)
@@ -319,7 +321,7 @@ def _penalty(cost: Vector, d: int) -> Vector:
     return banded
 
 
-def _penalised(z: Vector, cost: Vector, d: int) -> Vector:
+def _apply_penalty(z: Vector, cost: Vector, d: int) -> Vector:
     """Return P z for columns z (M, n), from differences of z; P is the matrix of `_penalty`."""
     rough = cost[d - 1 :, None] * np.diff(np.vstack([np.zeros_like(z[:1]), z]), d, axis=0)
     # The adjoint of the d-th difference.
@@ -342,7 +344,7 @@ def _cost(z: Vector, cost: Vector, d: int) -> float:
 class _Search:
     """Search over the settings (L, c, T), with the posteriors computed so far."""
 
-    def __init__(self, record: _Record) -> None:
+    def __init__(self, record: _StepSamples) -> None:
         self._record = record
         self.found: dict[Setting, _Spline] = {}
 
@@ -380,7 +382,7 @@ def _near(at: Setting) -> Iterator[Setting]:
             yield delay, x, v
 
 
-def _weighed(record: _Record) -> tuple[dict[Setting, _Spline], Vector, float]:
+def _weigh_splines(record: _StepSamples) -> tuple[dict[Setting, _Spline], Vector, float]:
     """Return the likely splines, their probabilities, and the probability of no dead time."""
     search = _Search(record)
     starts = [(0, i, j) for i in range(0, _LOG_SMOOTHNESS.size, 5) for j in (1, 4, 7)]
@@ -391,18 +393,18 @@ def _weighed(record: _Record) -> tuple[dict[Setting, _Spline], Vector, float]:
     latest = int(np.quantile(np.argmax(curves >= SHARE, axis=0), 0.99)) + 1
     latest = min(latest, record.size // 2)
     at = best
-    for delay in _spaced(1, latest):
+    for delay in _delay_grid(1, latest):
         at = search.climb((delay, *at[1:]))
     at = search.best
     width = 1.5 * latest / _DELAYS_AT_ONCE
-    for delay in _spaced(max(at[0] - width, 1), min(at[0] + width, latest)):
+    for delay in _delay_grid(max(at[0] - width, 1), min(at[0] + width, latest)):
         search.climb((delay, *at[1:]))
     search.spread()
     least = search.criterion(search.best)
     # Sorted, because the curves must be drawn in a fixed order, and the order in which the search
     # finds the settings depends on rounding.
-    found = dict(sorted(search.found.items(), key=lambda item: item[0]))
-    weights = {at: np.exp((least - spline.criterion) / 2) for at, spline in found.items()}
+    candidates = dict(sorted(search.found.items(), key=lambda item: item[0]))
+    weights = {at: np.exp((least - spline.criterion) / 2) for at, spline in candidates.items()}
     delays = np.array(sorted({at[0] for at in weights}))
     widths = np.gradient(delays.astype(np.float64)) / latest if delays.size > 1 else np.ones(1)
     prior = dict(zip(delays, (1 - PRIOR_NO_DEAD_TIME) * widths, strict=True)) | {
@@ -412,11 +414,11 @@ def _weighed(record: _Record) -> tuple[dict[Setting, _Spline], Vector, float]:
     shares /= shares.sum()
     none = float(sum(s for at, s in zip(weights, shares, strict=True) if at[0] == 0))
     kept = shares > _MIN_WEIGHT_SHARE * shares.max()
-    splines = {at: found[at] for at, here in zip(weights, kept, strict=True) if here}
+    splines = {at: candidates[at] for at, here in zip(weights, kept, strict=True) if here}
     return splines, shares[kept] / shares[kept].sum(), none
 
 
-def _spaced(first: float, last: float) -> list[int]:
+def _delay_grid(first: float, last: float) -> list[int]:
     return sorted({round(x) for x in np.linspace(first, last, _DELAYS_AT_ONCE)})
 
 

@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr
 from scipy.stats import chi2
 
-from armrig.estimation.nonparametric.step_answer import Answer
+from armrig.estimation.nonparametric.step_answer import NormalisedResponse
 from armrig.numerics.step_times import SHARE
 
 Vector = NDArray[np.float64]
@@ -49,7 +49,7 @@ _SHIFTS = (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)  # samples; the cost has a kink at e
 class ProcessAnswer:
     """Posterior draws of a P1D or P2D step response."""
 
-    answer: Answer
+    answer: NormalisedResponse
     """Curve divided by `scale`, and the times of the draws."""
     scale: float
     """Median of `gains`."""
@@ -82,13 +82,13 @@ def step_process(
     band : float
         Half width of the band in which the response has settled, as a share of the final value.
     """
-    known = np.isfinite(y) & (weight > 0)
-    rows = _Rows(t[known], y[known], weight[known] / weight.max())
-    record = _Record(rows, Ts, quantum)
+    used = np.isfinite(y) & (weight > 0)
+    rows = _Rows(t[used], y[used], weight[used] / weight.max())
+    record = _ProcessRegression(rows, Ts, quantum)
     ends = record.fits()
     spread = record.variance - quantum**2 / 12
     constant = bool(quantum) and spread < (_WHITE_NOISE * quantum) ** 2
-    coded = rows.coded() if constant and steps == 1 else None
+    coded = rows.count_codes() if constant and steps == 1 else None
     if coded is None and record.misfits(ends[1]):
         return None
     rng = np.random.default_rng(1)
@@ -119,13 +119,13 @@ def step_process(
     grid = np.linspace(0.0, duration, 1001)[1:]
     curves = gains[:, None] * _unit_responses(grid, theta) / scale
     return ProcessAnswer(
-        answer=Answer(
+        answer=NormalisedResponse(
             t=grid,
             y=curves.mean(axis=0),
             std=curves.std(axis=0),
-            crossings=L + T * _reached(SHARE, ratio),
+            crossings=L + T * _crossing_times(SHARE, ratio),
             delays=L,
-            settlings=L + T * _reached(1 - band, ratio),
+            settlings=L + T * _crossing_times(1 - band, ratio),
             peaks=np.ones(n),
             none=float(early < _NO_DEAD_TIME_SHARE * late),
         ),
@@ -151,7 +151,7 @@ def _unit_responses(t: Vector, theta: Vector) -> Vector:
     return _unit_response(t - L, np.exp(T), ratio)
 
 
-def _reached(share: float, ratio: Vector) -> Vector:
+def _crossing_times(share: float, ratio: Vector) -> Vector:
     """Return the time, divided by T_1, at which each response reaches a share of its gain."""
     low, high = np.zeros(ratio.size), np.full(ratio.size, 20.0)
     for _ in range(50):
@@ -173,14 +173,14 @@ class _Rows(NamedTuple):
     y: Vector
     weight: Vector
 
-    def shortened(self) -> _Rows:
+    def merge_early(self) -> _Rows:
         """Return the rows with the mean of those before the step, which all have one value."""
         early = self.t < 0
         w, late = self.weight[early], ~early
         first = (self.t[0], w @ self.y[early] / w.sum(), w.sum())
-        return _Rows(*(np.append(x, of[late]) for x, of in zip(first, self, strict=True)))
+        return _Rows(*(np.append(x, column[late]) for x, column in zip(first, self, strict=True)))
 
-    def coded(self) -> _Rows:
+    def count_codes(self) -> _Rows:
         """Return the rows with the counts of the codes before the step as weights."""
         late = self.t >= 0
         codes, counts = np.unique(self.y[~late], return_counts=True)
@@ -192,7 +192,7 @@ class _Rows(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Draws:
+class _ProcessDraws:
     """Draws of one form."""
 
     theta: Vector
@@ -204,11 +204,11 @@ class _Draws:
     """Logarithm of the likelihood, up to a constant."""
 
 
-class _Record:
+class _ProcessRegression:
     """Least squares of the record, with gain and level projected out."""
 
     def __init__(self, rows: _Rows, Ts: float, quantum: float) -> None:
-        self._rows = rows.shortened()
+        self._rows = rows.merge_early()
         self._root, self._q, self._Ts = np.sqrt(self._rows.weight), quantum, Ts
         self._N = rows.y.size
         floor = (_MIN_NOISE_SHARE * float(np.max(np.abs(rows.y)))) ** 2
@@ -294,7 +294,7 @@ class _Record:
         weight = self._rows.weight / variance
         return _misfits(self._rows.t, theta, self._root * r / variance, weight)
 
-    def misfits_codes(self, rows: _Rows, draws: _Draws) -> bool:
+    def misfits_codes(self, rows: _Rows, draws: _ProcessDraws) -> bool:
         """Return the same for the codes of a converter, by the most likely draw."""
         best = int(np.argmax(draws.scores))
         theta, noise = draws.theta[best], float(draws.noises[best])
@@ -307,7 +307,7 @@ class _Record:
         score = _code_score(off, noise, self._q)[0]
         return _misfits(rows.t, theta, rows.weight * score, rows.weight * information)
 
-    def draws(self, at: Vector, free: int, rng: np.random.Generator) -> _Draws:
+    def draws(self, at: Vector, free: int, rng: np.random.Generator) -> _ProcessDraws:
         """Return draws by the likelihood of white Gaussian noise."""
         columns, white = _columns(free), self.variance
         low, high = self._low, self._high
@@ -333,12 +333,12 @@ class _Record:
         # Reflect at the bounds, so that no walker begins outside.
         a, b = low[columns], high[columns]
         walkers[:, columns] = np.clip(b - np.abs(b - a - np.abs(moved - a)), a, b)
-        theta, scores = _stretched(walkers, columns, score, rng)
+        theta, scores = _stretch_walkers(walkers, columns, score, rng)
         _, gains, variances = self._solve(theta)
         gains = gains + np.sqrt(white * variances) * rng.standard_normal(gains.size)
         w = self._rows.weight
         curves = gains[:, None] * _unit_responses(self._rows.t, theta)
-        return _Draws(
+        return _ProcessDraws(
             theta=theta,
             gains=gains,
             levels=(self._rows.y - curves) @ w / w.sum(),
@@ -347,8 +347,8 @@ class _Record:
         )
 
     def coded_draws(
-        self, rows: _Rows, start: _Draws, free: int, rng: np.random.Generator
-    ) -> _Draws:
+        self, rows: _Rows, start: _ProcessDraws, free: int, rng: np.random.Generator
+    ) -> _ProcessDraws:
         """Return draws by the probabilities of the codes of a converter."""
         first = rng.choice(start.gains.size, _WALKERS, replace=False)
         noise = np.sqrt(max(self.variance - self._q**2 / 12, 0.0)) + 0.1 * self._q
@@ -374,9 +374,9 @@ class _Record:
             p = _code_probability(rows.y - curves, np.exp(x[:, 5, None]), self._q)
             return np.where(inside, np.log(p) @ rows.weight, -np.inf)
 
-        x, scores = _stretched(walkers, np.array([*_columns(free), 3, 4, 5]), score, rng)
+        x, scores = _stretch_walkers(walkers, np.array([*_columns(free), 3, 4, 5]), score, rng)
         theta = x[:, :3]
-        return _Draws(
+        return _ProcessDraws(
             theta=theta,
             gains=x[:, 3] / at_end(theta),
             levels=x[:, 4],
@@ -422,7 +422,7 @@ def _code_score(off: Vector, noise: float, quantum: float) -> tuple[Vector, Vect
     return slope / np.maximum(p, 1e-12), p
 
 
-def _stretched(
+def _stretch_walkers(
     walkers: Vector,
     columns: NDArray[np.int_],
     score: Callable[[Vector], Vector],

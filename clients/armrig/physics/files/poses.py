@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from armrig_core.errors import InputError
-from armrig_core.process.imports import imported
+from armrig_core.process.imports import load_extra
 from armrig_core.telemetry.topics import topic
 
 from armrig.recordings.recording import Recording
@@ -22,7 +22,7 @@ def transforms_channel(rig: str, context: Any) -> Any:
 
     Raises MissingPackageError if foxglove-sdk is not installed.
     """
-    channels = imported("foxglove.channels", "foxglove")
+    channels = load_extra("foxglove.channels", "foxglove")
     return channels.FrameTransformsChannel(topic(rig, "transforms"), context=context)
 
 
@@ -32,7 +32,7 @@ def transforms(theta_1: float, alpha: float, t_ns: int) -> Any:
     Both frames turn about z, so that the arm's angle in `rig` is θ₁ + α. A frame is left out
     if its angle is not finite. `t_ns` is the time on the wall clock.
     """
-    messages = imported("foxglove.messages", "foxglove")
+    messages = load_extra("foxglove.messages", "foxglove")
     stamp = messages.Timestamp(*divmod(t_ns, _NS))
     frames = (("rig", "chassis", theta_1, 0.0), ("chassis", "arm", alpha, _ARM_HEIGHT_M))
     return messages.FrameTransforms(
@@ -57,7 +57,7 @@ def write_transforms(recording: Recording, path: Path) -> None:
 
     Raises ValueError if the wall clock of the rig's machine was before 1970 or after 2106.
     """
-    sdk = imported("foxglove", "foxglove")
+    sdk = load_extra("foxglove", "foxglove")
     context = sdk.Context()
     channel = transforms_channel(recording.manifest.rig, context)
     here = recording.present

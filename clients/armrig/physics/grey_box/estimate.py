@@ -20,7 +20,7 @@ from armrig.data.dataset import Signals
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum
 from armrig.numerics.quantities import plural
-from armrig.numerics.whiteness import default_lags, joined, ljung_box
+from armrig.numerics.whiteness import default_lags, join_residuals, ljung_box
 from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.inference import MAX_SOLVER_SHARE, grey_fit, require_samples
 from armrig.physics.grey_box.physical_models import (
@@ -183,7 +183,7 @@ def greybox(
     worse: tuple[str, ...] = ()
     with np.errstate(all="ignore"):
         linear = tuple(name for name in names if name != COULOMB)
-        problem, best, start = minimised(physics, linear, asdict(p), experiments)
+        problem, best, start = minimise(physics, linear, asdict(p), experiments)
         if COULOMB in names:
             without, values = best.cost, asdict(p) | problem.values(best.theta)
             # If u0 is not free with friction, T_c explains the u0 of the problem without friction.
@@ -192,7 +192,7 @@ def greybox(
             volts = max(float(np.mean(taken)) if taken else 0.0, _MIN_START_V)
             values[COULOMB] = volts * physics.all_values(values).torque_per_volt
             rubbing = replace(physics, friction=True)
-            problem, best, start = minimised(rubbing, names, values, experiments)
+            problem, best, start = minimise(rubbing, names, values, experiments)
             worse = worse_with_friction(data, without, best.cost)
         i = physics.outputs.index(output)
         return grey_fit(data, i, problem, best, start, fixed_std=fixed_std or {}, worse=worse)
@@ -215,17 +215,17 @@ def _equations(data: Signals, ode: Ode, fixed: Mapping[str, float], i: int) -> G
                 f"{plural(data.ny, 'output')}, "
                 f"{', '.join(data.outputs)}: choose them with signals.channels(outputs)"
             )
-        found = minimised(
+        minimum = minimise(
             Equations(model=ode),
             names,
             {**ode.values, **fixed},
             tuple(data.experiments()),
             draws=_MAX_DRAWS,
         )
-        return grey_fit(data, i, *found, fixed_std={})
+        return grey_fit(data, i, *minimum, fixed_std={})
 
 
-def minimised(
+def minimise(
     model: PhysicalModel,
     names: tuple[str, ...],
     values: dict[str, float],
@@ -240,40 +240,40 @@ def minimised(
     problem = partial(Shooting.of, model, names, values)
     windows = tuple(map(liveliest, experiments))
     start = problem(windows).coordinates.of([values[name] for name in names])
-    found: list[tuple[float, Shooting, Optimum]] = []
+    runs: list[tuple[float, Shooting, Optimum]] = []
     failed = InputError("no start leads to finite outputs")
     drawn = np.random.default_rng(0).uniform(-_DRAWN, _DRAWN, (draws, start.size))
     for at in [start, *(start + draw for draw in drawn)]:
         short = problem(windows)
         try:
-            best = short.searched(short.relaxed(at, short.begun(at)), _TRIAL_STEPS)
+            best = short.searched(short.solve_relaxed(at, short.start_states(at)), _TRIAL_STEPS)
             if not best.converged:
                 seen = _effective(short, best, at)
                 z = np.append(seen, best.theta[seen.size :])
                 best = min(best, short.searched(z, _TRIAL_STEPS), key=lambda found: found.cost)
             trial = short, best
-            if _misfit(*trial) < min((one[0] for one in found), default=np.inf) + _NEAR_MISFIT:
-                trial = _refined(*trial, _TRIAL_STEPS, _TRIAL_SHARE)
+            if _misfit(*trial) < min((run[0] for run in runs), default=np.inf) + _NEAR_MISFIT:
+                trial = _refine(*trial, _TRIAL_STEPS, _TRIAL_SHARE)
         except InputError as err:
             failed = err if at is start else failed
             continue
-        found.append((_misfit(*trial), *trial))
+        runs.append((_misfit(*trial), *trial))
         if _is_white(*trial):
             break
-    if not found:
+    if not runs:
         raise failed
-    _, whole, best = min(found, key=lambda trial: trial[0])
+    _, shooting, best = min(runs, key=lambda trial: trial[0])
     if any(window.N < part.N for window, part in zip(windows, experiments, strict=True)):
-        eta, short = _effective(whole, best, start), whole
-        whole = problem(experiments).changed(steps=short.steps, scale=short.scale)
-        best = whole.searched(whole.relaxed(eta, whole.begun(eta)))
+        eta, short = _effective(shooting, best, start), shooting
+        shooting = problem(experiments).changed(steps=short.steps, scale=short.scale)
+        best = shooting.searched(shooting.solve_relaxed(eta, shooting.start_states(eta)))
     elif not best.converged:
-        best = whole.searched(best.theta)
-    whole, best = _refined(whole, best)
-    if whole.std.size == 1:  # the inference of a single output takes errors in its unit
-        best = replace(best, cost=best.cost * float(whole.std[0]) ** 2)
-        whole = whole.changed(std=np.ones(1))
-    return whole, best, start
+        best = shooting.searched(best.theta)
+    shooting, best = _refine(shooting, best)
+    if shooting.std.size == 1:  # the inference of a single output takes errors in its unit
+        best = replace(best, cost=best.cost * float(shooting.std[0]) ** 2)
+        shooting = shooting.changed(std=np.ones(1))
+    return shooting, best, start
 
 
 def _effective(problem: Shooting, best: Optimum, start: Vector) -> Vector:
@@ -291,9 +291,9 @@ def _misfit(problem: Shooting, best: Optimum) -> float:
 def _is_white(problem: Shooting, best: Optimum) -> bool:
     """Return whether the residuals are noise, so that no other start leads to a lower minimum."""
     e, rows = problem.residuals(best.theta), problem.segments.rows
-    lags = default_lags(min(own.stop - own.start for own in rows))
+    lags = default_lags(min(part.stop - part.start for part in rows))
     for i, spread in enumerate(np.nanstd(problem.segments.y, axis=0)):
-        of_output = joined([e[own, i] for own in rows], lags)
+        of_output = join_residuals([e[part, i] for part in rows], lags)
         exact = np.nanmax(np.abs(of_output)) <= _EXACT_SHARE * spread
         if not (exact or ljung_box(of_output, lags) > _MIN_P):
             return False
@@ -311,7 +311,7 @@ def liveliest(data: Signals) -> Signals:
     return windows[int(np.nanargmax(spreads))]
 
 
-def _refined(
+def _refine(
     problem: Shooting, best: Optimum, most: int = MAX_STEPS, share: float = MAX_SOLVER_SHARE
 ) -> tuple[Shooting, Optimum]:
     """Return problem and minimum with the noise of several outputs, and with enough steps."""

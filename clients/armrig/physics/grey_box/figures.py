@@ -8,7 +8,7 @@ import numpy as np
 from armrig_core.telemetry.channels import ARM_OUTPUTS
 
 from armrig.data.figures import without_ramp
-from armrig.numerics.quantities import listed, plural, raised, scaled
+from armrig.numerics.quantities import join_names, plural, superscript, with_unit
 from armrig.physics.grey_box.physical_models import UNITS
 from armrig.plots.captions import legend, sign, symbol
 from armrig.plots.layout import (
@@ -40,7 +40,7 @@ def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes
     ax, below = panels(ax, 0.38)
     e = fit.errors(data)[:, 0]
     estimates = ", ".join(
-        f"{symbol(n)} = {scaled(fit.values[n], fit.std[n], fit.physics.parameters[n].unit)}"
+        f"{symbol(n)} = {with_unit(fit.values[n], fit.std[n], fit.physics.parameters[n].unit)}"
         for n in fit.names
     )
     ramp, label, notes = without_ramp(data)
@@ -107,7 +107,7 @@ def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
             mew=1.5,
             lw=1.0,
             capsize=3,
-            label=f"scatter of {listed([str(s.k) for s in several])} parts, 95 % interval",
+            label=f"scatter of {join_names([str(s.k) for s in several])} parts, 95 % interval",
         )
     below.set_xscale("log")
     below.set_yscale("log")
@@ -128,5 +128,5 @@ def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
 def _of(size: float, unit: str) -> str:
     """Return a power of ten and a unit as text, such as 10⁻³ kg m², or "–" if both are empty."""
     exponent = round(float(np.log10(size)))
-    power = f"10{raised(exponent)}" if exponent else ""
+    power = f"10{superscript(exponent)}" if exponent else ""
     return f"{power} {unit}".strip() or "–"

@@ -218,7 +218,7 @@ class GreyFit:
         parts, nothing = tuple(data.signals().experiments()), np.zeros(0)
         with np.errstate(all="ignore"):
             problem = Shooting.of(self.physics, (), dict(self._values), parts)
-            z = problem.relaxed(nothing, problem.begun(nothing))
+            z = problem.solve_relaxed(nothing, problem.start_states(nothing))
             return problem.residuals(problem.searched(z).theta)
 
     @property

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
 from armrig.data.treatment.wrong_samples import quantum, too_quiet
-from armrig.models.state_space import frozen
+from armrig.models.state_space import read_only_copy
 from armrig.numerics.curvature import curvature, doubts
 from armrig.numerics.inference import Inference, OutputResiduals, infer
 from armrig.numerics.least_squares import Basis, orthonormal
@@ -93,26 +93,26 @@ def grey_fit(
             f"the data determine only {basis.rank} of {free.size} parameters and cannot "
             f"distinguish {' and '.join(alike)}: hold one of them fixed"
         )
-    found = inferred(data, problem, e, Psi, spans, basis)
+    stats = infer_coordinates(data, problem, e, Psi, spans, basis)
     influence = -basis.W @ (basis.Q.T @ derivatives[:, d:])
     added = influence * [fixed_std.get(name, 0.0) for name in held] / all_slopes[d:]
     added = added @ added.T
 
-    def whole(part: Matrix) -> Matrix:
+    def embed(part: Matrix) -> Matrix:
         covariance = np.full((d, d), np.nan)
         covariance[np.ix_(free, free)] = part
         return covariance * np.outer(slopes, slopes)
 
-    covariance, robust = whole(found.covariance + added), whole(found.covariance_robust + added)
-    std, quality = _named_std(names, covariance), found.quality[i]
-    own = [data.dataset(name, data.inputs[0]) for name in data.outputs]
-    quanta = [quantum(output) for output in own]
+    covariance, robust = embed(stats.covariance + added), embed(stats.covariance_robust + added)
+    std, quality = _std_by_name(names, covariance), stats.quality[i]
+    datasets = [data.dataset(name, data.inputs[0]) for name in data.outputs]
+    quanta = [quantum(output) for output in datasets]
     rounding = data.y.size * rounding_std(data.y / problem.std) ** 2
     converged = best.converged or best.cost <= rounding
-    curved = 0.0 if best.cost <= rounding else _curvature(problem, z, free, found)
-    coloured = any(q.white.coloured for q in found.quality)
+    curved = 0.0 if best.cost <= rounding else _curvature(problem, z, free, stats)
+    coloured = any(q.white.coloured for q in stats.quality)
     measured = int(np.isfinite(e).any(axis=1).sum())
-    covariances = found.covariance, found.covariance_robust
+    covariances = stats.covariance, stats.covariance_robust
     reasons = [text for _, text in doubts(curved, *covariances, N=measured, coloured=coloured)]
     noise = np.sqrt(np.nanmean(e**2, axis=0))
     error = problem.solver_error(z, MAX_SOLVER_SHARE * noise)[1][i]
@@ -124,16 +124,16 @@ def grey_fit(
     else:
         output = data.outputs[i]
         physics = replace(model, output=output, steps=problem.steps, solver_error=float(error))
-    poorest = min(q.fit_percent for q in found.quality)
+    poorest = min(q.fit_percent for q in stats.quality)
     has_friction = not of_rig or bool({"b_1", COULOMB} & {*names})
     return GreyFit(
         names=names,
         values=values,
         std=std,
-        std_noise=_named_std(names, whole(found.covariance)),
-        std_robust=_named_std(names, robust),
-        covariance=frozen(covariance),
-        covariance_robust=frozen(robust),
+        std_noise=_std_by_name(names, embed(stats.covariance)),
+        std_robust=_std_by_name(names, robust),
+        covariance=read_only_copy(covariance),
+        covariance_robust=read_only_copy(robust),
         condition=float(np.linalg.cond(scaled)),
         influence={
             names[j]: {
@@ -148,17 +148,17 @@ def grey_fit(
         fixed_std=dict(fixed_std),
         initial=tuple(map(tuple, initial.tolist())),
         offset=tuple(offsets.tolist()),
-        noise_variance=float(found.noise_covariance[i, i]),
+        noise_variance=float(stats.noise_covariance[i, i]),
         loss=quality.loss,
         fit_percent=quality.fit_percent,
         whiteness=quality.white.p_value,
         whiteness_test=quality.white.test,
         quantum=quanta[i],
         N=quality.N,
-        Ts=own[i].Ts,
+        Ts=datasets[i].Ts,
         converged=converged,
         physics=physics,
-        by_output=dict(zip(data.outputs, found.quality, strict=True)) if data.ny > 1 else {},
+        by_output=dict(zip(data.outputs, stats.quality, strict=True)) if data.ny > 1 else {},
         warnings=(
             *([] if converged else [f"no convergence in {plural(best.iterations, 'step')}"]),
             *(f"the search for {names[j]} {_AT_BOUND}" for j in np.flatnonzero(stopped)),
@@ -166,43 +166,43 @@ def grey_fit(
             *reasons,
             *worse,
             *physics.doubts(values, std, float(noise[i])),
-            *_noise_warnings(data.outputs, quanta, found, has_friction=has_friction),
+            *_noise_warnings(data.outputs, quanta, stats, has_friction=has_friction),
         ),
-        **own[i].origin() | {"digest": data.digest},
+        **datasets[i].origin() | {"digest": data.digest},
     )
 
 
-def _curvature(problem: Shooting, z: Vector, kept: NDArray[np.int_], found: Inference) -> float:
+def _curvature(problem: Shooting, z: Vector, kept: NDArray[np.int_], stats: Inference) -> float:
     """Return the curvature of the loss in the `kept` coordinates, which initial states follow."""
     d = len(problem.names)
-    own = np.append(kept, np.arange(d, z.size))
+    index = np.append(kept, np.arange(d, z.size))
     e, J = problem.linearise(z)
-    basis = orthonormal(J[:, own], DERIVATIVE_ERROR)
+    basis = orthonormal(J[:, index], DERIVATIVE_ERROR)
     variance = float(e @ e) / max(e.size - basis.rank, 1)
 
     def cost(at: Vector) -> float:
         moved = z.copy()
-        moved[own] = at
+        moved[index] = at
         e, _ = problem.linearise(moved)
         return float(e @ e)
 
     return curvature(
         cost,
-        z[own],
+        z[index],
         variance * basis.W @ basis.W.T,
         variance,
-        used=found.covariance_robust if found.quality[0].white.coloured else None,
+        used=stats.covariance_robust if stats.quality[0].white.coloured else None,
         followers=slice(kept.size, None),
     )
 
 
-def _named_std(names: tuple[str, ...], covariance: Matrix) -> dict[str, float]:
+def _std_by_name(names: tuple[str, ...], covariance: Matrix) -> dict[str, float]:
     """Return standard deviations by name."""
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return dict(zip(names, std.tolist(), strict=True))
 
 
-def inferred(
+def infer_coordinates(
     data: Signals,
     problem: Shooting,
     e: Matrix,
@@ -215,22 +215,22 @@ def inferred(
     e contains the residuals (N, ny). The rows of Psi, of the spans of the free responses and of the
     basis are those of the measured values.
     """
-    known, ny = np.isfinite(e), problem.std.size
+    finite, ny = np.isfinite(e), problem.std.size
     H, derivatives = (np.zeros((*e.shape, M.shape[1])) for M in (basis.Q, Psi))
-    H[known], derivatives[known] = basis.Q, Psi
+    H[finite], derivatives[finite] = basis.Q, Psi
     experiments = []
-    for own, span in zip(problem.segments.rows, spans, strict=True):
+    for rows, span in zip(problem.segments.rows, spans, strict=True):
         # The outputs share the free responses, so one output alone has no basis of them.
-        Z = np.zeros((known[own].shape[0], span.shape[1]))
+        Z = np.zeros((finite[rows].shape[0], span.shape[1]))
         if ny == 1:
-            Z[known[own, 0]] = span
+            Z[finite[rows, 0]] = span
         experiments.append(
             [
                 OutputResiduals(
-                    e=e[own, i],
-                    y=data.y[own, i],
-                    H=H[own, i] / std,
-                    Psi=None if ny == 1 else derivatives[own, i] * std,
+                    e=e[rows, i],
+                    y=data.y[rows, i],
+                    H=H[rows, i] / std,
+                    Psi=None if ny == 1 else derivatives[rows, i] * std,
                     Z=Z if ny == 1 else None,
                 )
                 for i, std in enumerate(problem.std)
@@ -242,11 +242,11 @@ def inferred(
 
 
 def _noise_warnings(
-    outputs: Sequence[str], steps: Sequence[float], found: Inference, *, has_friction: bool
+    outputs: Sequence[str], steps: Sequence[float], stats: Inference, *, has_friction: bool
 ) -> Iterator[str]:
     """Yield warnings of noise below a third of a converter step, and of coloured residuals."""
-    variances = np.diag(found.noise_covariance).tolist()
-    for name, step, variance, quality in zip(outputs, steps, variances, found.quality, strict=True):
+    variances = np.diag(stats.noise_covariance).tolist()
+    for name, step, variance, quality in zip(outputs, steps, variances, stats.quality, strict=True):
         of_output = f"{name}: " if len(outputs) > 1 else ""
         if quiet := too_quiet(step, variance):
             yield f"{of_output}{quiet}"

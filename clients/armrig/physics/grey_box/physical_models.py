@@ -14,7 +14,7 @@ from armrig_core.rig.equations import (
     Ode,
     Parameter,
     Trajectories,
-    integrated,
+    integrate_ode,
     steps_and_error,
 )
 from numpy.typing import ArrayLike
@@ -75,11 +75,11 @@ class Equations:
         """Dead time of the inputs, in s."""
         return self.model.delay
 
-    def integrated(
+    def integrate(
         self, course: Course, x: NDArray[np.float64], values: Mapping[str, Any], steps: int
     ) -> Trajectories:
         """Return the trajectories from the states x (n, points, S)."""
-        return integrated(self.model, course, x, values, steps)
+        return integrate_ode(self.model, course, x, values, steps)
 
     def steps_and_error(
         self, course: Course, x: Matrix, values: Mapping[str, float], **limits: Any
@@ -139,8 +139,8 @@ class Physics:
     def parameters(self) -> dict[str, Parameter]:
         """Parameters with units and bounds."""
         values = asdict(self.fixed)
-        own = {k: Parameter(v, UNITS[k], low=0) for k, v in values.items() if k not in SIGNED}
-        return own | {
+        bounded = {k: Parameter(v, UNITS[k], low=0) for k, v in values.items() if k not in SIGNED}
+        return bounded | {
             "b_1": Parameter(self.fixed.damping, UNITS["b_1"]),
             COULOMB: Parameter(self.fixed.torque_per_volt, UNITS[COULOMB]),
         }
@@ -175,7 +175,7 @@ class Physics:
         is_free = not self.friction or bipolar(u)
         return np.column_stack([u, np.full(u.size, float(is_free))])
 
-    def integrated(
+    def integrate(
         self, course: Course, x: NDArray[np.float64], values: Mapping[str, Any], steps: int
     ) -> Trajectories:
         """Return the trajectories from the states x (n, points, S); `steps` has no effect."""
@@ -183,24 +183,24 @@ class Physics:
             {name: float(np.broadcast_to(np.ravel(v), x.shape[1])[j]) for name, v in values.items()}
             for j in range(x.shape[1])
         ]
-        known: dict[tuple[float, ...], Matrix] = {}
+        matrices: dict[tuple[float, ...], Matrix] = {}
         for point in of_points:
-            if (key := tuple(point.values())) not in known:
-                known[key] = np.block(self.sampled(point, course.Ts))
-        step = np.array([known[tuple(point.values())] for point in of_points])
+            if (key := tuple(point.values())) not in matrices:
+                matrices[key] = np.block(self.sampled(point, course.Ts))
+        step = np.array([matrices[tuple(point.values())] for point in of_points])
         n, X, y = x.shape[0] - 1, np.swapaxes(x, 0, 1), []
         for k, (u, is_free) in enumerate(course.u):
             drive = u - is_free * X[:, n:]
-            found = step @ np.concatenate([X[:, :n], drive], 1)
-            y.append(found[:, n:])
+            x_and_y = step @ np.concatenate([X[:, :n], drive], 1)
+            y.append(x_and_y[:, n:])
             if k + 1 < course.u.shape[0]:
-                ahead = found[:, :n]
+                ahead = x_and_y[:, :n]
                 if self.friction:
-                    ahead = self._braked(of_points, step, X[:, :n], ahead)
+                    ahead = self._brake(of_points, step, X[:, :n], ahead)
                 X = np.concatenate([ahead, X[:, n:]], 1)
         return Trajectories(y=np.swapaxes(y, 1, 2), end=np.swapaxes(X, 0, 1))
 
-    def _braked(
+    def _brake(
         self, of_points: Sequence[Mapping[str, float]], step: Matrix, x: Matrix, ahead: Matrix
     ) -> Matrix:
         """Return the next states (points, n, S) with friction, from those without friction."""
@@ -240,8 +240,8 @@ class Physics:
 
     def all_values(self, values: Mapping[str, float]) -> ArmParameters:
         """Return all parameters of the linear model; a viscous friction below 0 becomes 0."""
-        own = {k: max(v, 0.0) if k in SIGNED else v for k, v in values.items() if k != COULOMB}
-        return replace(self.fixed, **own)
+        changes = {k: max(v, 0.0) if k in SIGNED else v for k, v in values.items() if k != COULOMB}
+        return replace(self.fixed, **changes)
 
     def to_control(self, parameters: ArmParameters) -> control.StateSpace:
         """Return the continuous model, without Coulomb friction."""
@@ -259,10 +259,10 @@ class Physics:
 
         A viscous friction below 0 changes the matrices by the opposite of what its opposite does.
         """
-        own = asdict(self.fixed) | {k: v for k, v in values.items() if k != COULOMB}
-        A, B, C, D = self._continuous(own | {name: abs(own[name]) for name in SIGNED})
-        if any(own[name] < 0 for name in SIGNED):
-            resting = self._continuous(own | dict.fromkeys(SIGNED, 0.0))
+        parameters = asdict(self.fixed) | {k: v for k, v in values.items() if k != COULOMB}
+        A, B, C, D = self._continuous(parameters | {name: abs(parameters[name]) for name in SIGNED})
+        if any(parameters[name] < 0 for name in SIGNED):
+            resting = self._continuous(parameters | dict.fromkeys(SIGNED, 0.0))
             A, B, C, D = (2 * M - N for M, N in zip(resting, (A, B, C, D), strict=True))
         Phi, Gamma = zero_order_hold(A, B, Ts)
         return [[Phi, Gamma], [C, D]]

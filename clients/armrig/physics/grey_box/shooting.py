@@ -71,7 +71,7 @@ class Segments:
     @classmethod
     def of(cls, model: PhysicalModel, experiments: Sequence[Signals], length: int) -> Segments:
         """Cut the experiments."""
-        Ts, own, inputs, places, first = experiments[0].Ts, [], [], [], 0
+        Ts, indices, inputs, places, first = experiments[0].Ts, [], [], [], 0
         for data in experiments:
             S = max(1, -(-(data.N - 1) // length))
             index = np.arange(length + 1)[:, None] + length * np.arange(S)
@@ -79,20 +79,20 @@ class Segments:
             # The last sample begins no interval: it may be the end of the last segment.
             segment = np.minimum(np.arange(data.N) // length, S - 1)
             places.append((np.arange(data.N) - length * segment, first + segment))
-            own.append(index)
+            indices.append(index)
             first += S
         edges = np.cumsum([0, *(data.N for data in experiments)]).tolist()
         interval, segment = (np.concatenate(part) for part in zip(*places, strict=True))
         return cls(
             course=Course(
                 u=np.moveaxis(np.concatenate(inputs, 1), 1, 2),
-                t=np.asarray(Ts * np.concatenate(own, 1)),
+                t=np.asarray(Ts * np.concatenate(indices, 1)),
                 Ts=Ts,
                 linear=tuple(x == "foh" for x in experiments[0].intersample),
             ),
-            y=np.vstack([_observed(data, ceil(model.delay / Ts)) for data in experiments]),
+            y=np.vstack([_outputs_with_gaps(data, ceil(model.delay / Ts)) for data in experiments]),
             place=(interval, segment),
-            experiment=np.repeat(np.arange(len(own)), [index.shape[1] for index in own]),
+            experiment=np.repeat(np.arange(len(indices)), [index.shape[1] for index in indices]),
             rows=tuple(slice(a, b) for a, b in pairwise(edges)),
         )
 
@@ -106,7 +106,7 @@ class Segments:
         return np.asarray(values[self.place[0], ..., self.place[1]])
 
 
-def _observed(data: Signals, late: int) -> Matrix:
+def _outputs_with_gaps(data: Signals, late: int) -> Matrix:
     """Return the outputs (N, ny), NaN where there is none, and while the input is not known."""
     y = np.where(data.valid, data.y, np.nan)
     y[:late] = np.nan
@@ -135,19 +135,19 @@ class Point:
     steps: int
     """Runge-Kutta steps of an interval."""
 
-    def chained(self) -> tuple[NDArray[np.float64], Matrix]:
+    def chain(self) -> tuple[NDArray[np.float64], Matrix]:
         """Return the derivatives of joined s with respect to (eta, x0), (S, n, d + n).
 
         The second result is the change of s that removes the defects, (S, n).
         """
         S, n, d = *self.end_by.shape[:2], self.end_by.shape[2] - self.end_by.shape[1]
-        found = np.zeros((S, n, d + n + 1))
-        found[self.first, :, d:-1] = np.eye(n)
+        s_by = np.zeros((S, n, d + n + 1))
+        s_by[self.first, :, d:-1] = np.eye(n)
         for i in np.flatnonzero(~self.first):
-            found[i] = self.end_by[i - 1, :, d:] @ found[i - 1]
-            found[i, :, :d] += self.end_by[i - 1, :, :d]
-            found[i, :, -1] += self.defects[i - 1]
-        return found[..., :-1], found[..., -1]
+            s_by[i] = self.end_by[i - 1, :, d:] @ s_by[i - 1]
+            s_by[i, :, :d] += self.end_by[i - 1, :, :d]
+            s_by[i, :, -1] += self.defects[i - 1]
+        return s_by[..., :-1], s_by[..., -1]
 
 
 class Coordinates:
@@ -272,8 +272,8 @@ class Shooting:
 
     def values(self, z: Vector) -> dict[str, float]:
         """Return the values of the free parameters."""
-        found = self.coordinates.values(z[: len(self.names)])
-        return dict(zip(self.names, found.tolist(), strict=True))
+        theta = self.coordinates.values(z[: len(self.names)])
+        return dict(zip(self.names, theta.tolist(), strict=True))
 
     def initial(self, z: Vector) -> Matrix:
         """Return the initial state of each experiment, (experiments, n)."""
@@ -293,23 +293,23 @@ class Shooting:
             x[i, 2 + 2 * (d + i)] -= h * self.scale[i]
         values = self.coordinates.values(grid).T[:, :, None]
         all_values = self.fixed | dict(zip(self.names, values, strict=True))
-        found = self.model.integrated(self.segments.course, x, all_values, self.steps)
-        end_by = (found.end[:, 1::2] - found.end[:, 2::2]) / (2 * h) / self.scale[:, None, None]
+        motion = self.model.integrate(self.segments.course, x, all_values, self.steps)
+        end_by = (motion.end[:, 1::2] - motion.end[:, 2::2]) / (2 * h) / self.scale[:, None, None]
         first = self.segments.first
         defects = np.zeros((s.shape[1], n))
-        defects[:-1] = ((found.end[:, 0, :-1] - s[:, 1:]) / self.scale[:, None]).T
+        defects[:-1] = ((motion.end[:, 0, :-1] - s[:, 1:]) / self.scale[:, None]).T
         defects[:-1][first[1:]] = 0.0
         return Point(
             s=s,
-            y=found.y[:, :, 0],
-            y_by=(found.y[:, :, 1::2] - found.y[:, :, 2::2]) / (2 * h),
+            y=motion.y[:, :, 0],
+            y_by=(motion.y[:, :, 1::2] - motion.y[:, :, 2::2]) / (2 * h),
             end_by=np.moveaxis(end_by, 2, 0),
             defects=defects,
             first=first,
             steps=self.steps,
         )
 
-    def relaxed(self, eta: Vector, s: Matrix) -> Vector:
+    def solve_relaxed(self, eta: Vector, s: Matrix) -> Vector:
         """Return coordinates near the minimum of the relaxed problem.
 
         The trajectories found there are the start of the joined ones.
@@ -323,17 +323,17 @@ class Shooting:
 
     def relax(self, eta: Vector, point: Point, weight: float) -> tuple[Vector, Point]:
         """Return coordinates and a point of a lower cost for one weight of the defects."""
-        cost, damping = self._relaxed_cost(point, weight), 1e-4
+        cost, damping = self._relaxing_cost(point, weight), 1e-4
         for _ in range(_MAX_RELAXED):
             try:
-                move, moves = self._relaxed_step(point, weight, damping)
+                move, moves = self._relaxing_step(point, weight, damping)
             except (LinAlgError, ValueError):  # not positive definite, or not finite
                 break
             new = self.box.inside(eta + move, eta)
-            found = self.point(new, point.s + moves.T * self.scale[:, None])
-            value = self._relaxed_cost(found, weight)
+            trial = self.point(new, point.s + moves.T * self.scale[:, None])
+            value = self._relaxing_cost(trial, weight)
             if np.isfinite(value) and value < cost:
-                fell, eta, point, cost = cost - value, new, found, value
+                fell, eta, point, cost = cost - value, new, trial, value
                 damping /= 10
                 if fell < _RELAXED_CHANGE * cost:
                     break
@@ -348,13 +348,13 @@ class Shooting:
         e[interval, :, segment] = self.segments.y
         return np.asarray((e - point.y) / self.std[:, None])
 
-    def _relaxed_cost(self, point: Point, weight: float) -> float:
+    def _relaxing_cost(self, point: Point, weight: float) -> float:
         """Return the sum of the squares of the errors and of the weighted defects."""
         if not np.all(np.isfinite(point.y)):
             return np.inf
         return float(np.nansum(self._errors(point) ** 2) + weight * np.sum(point.defects**2))
 
-    def _relaxed_step(self, point: Point, weight: float, damping: float) -> tuple[Vector, Matrix]:
+    def _relaxing_step(self, point: Point, weight: float, damping: float) -> tuple[Vector, Matrix]:
         """Return the damped change of eta, and of s (S, n).
 
         The states of a segment occur only in its errors and in its two defects. Their normal
@@ -362,9 +362,9 @@ class Shooting:
         """
         d, n, S = len(self.names), self.scale.size, point.s.shape[1]
         e, J = self._errors(point), point.y_by / self.std[:, None, None]
-        known = np.isfinite(e)
-        A = np.moveaxis(J * known[:, :, None], 3, 0).reshape(S, -1, d + n)
-        right = np.moveaxis(np.where(known, e, 0.0), 2, 0).reshape(S, -1, 1)
+        finite = np.isfinite(e)
+        A = np.moveaxis(J * finite[:, :, None], 3, 0).reshape(S, -1, d + n)
+        right = np.moveaxis(np.where(finite, e, 0.0), 2, 0).reshape(S, -1, 1)
         weights = weight * np.append(~point.first[1:], False)[:, None]
         E, by = weights[:, :, None] * point.end_by, np.swapaxes(point.end_by, 1, 2)
         G = np.swapaxes(A, 1, 2) @ A + by @ E
@@ -386,20 +386,20 @@ class Shooting:
         move = np.linalg.lstsq(H, np.sum(g[:, :d], axis=0) - cross.T @ X[:, d], rcond=None)[0]
         return move, (X[:, d] - X[:, :d] @ move).reshape(S, n)
 
-    def condensed(self, point: Point) -> tuple[Matrix, NDArray[np.float64]]:
+    def condense(self, point: Point) -> tuple[Matrix, NDArray[np.float64]]:
         """Return errors (N, ny) of nearly joined segments, and their derivatives by z (N, ny, …).
 
         An error is a measured minus a simulated output, NaN where an output is missing.
         """
         d, n, rows = len(self.names), self.scale.size, self.segments.rows
-        by, joining = point.chained()
+        by, joining = point.chain()
         along = np.einsum("ljis,sik->ljks", point.y_by[:, :, d:], by)
         along[:, :, :d] += point.y_by[:, :, :d]
         ordered = self.segments.in_order(along)
         J = np.zeros((*self.segments.y.shape, d + n * len(rows)))
         J[..., :d] = ordered[..., :d]
-        for i, own in enumerate(rows):
-            J[own, :, d + n * i : d + n * (i + 1)] = ordered[own, :, d:]
+        for i, part in enumerate(rows):
+            J[part, :, d + n * i : d + n * (i + 1)] = ordered[part, :, d:]
         # The last, small defects are removed to first order.
         left = np.einsum("ljis,si->ljs", point.y_by[:, :, d:], joining)
         return self.segments.y - self.segments.in_order(point.y + left), J
@@ -409,10 +409,10 @@ class Shooting:
         d, (_, at, near) = len(self.names), self.best
         if near is None:
             return None
-        own = self.segments.experiment
-        x0, before = (v[d:].reshape(-1, self.scale.size)[own] for v in (z, at))
-        move = np.hstack([np.tile(z[:d] - at[:d], (own.size, 1)), x0 - before])
-        s = near.s + (near.chained()[0] @ move[..., None])[..., 0].T * self.scale[:, None]
+        experiment = self.segments.experiment
+        x0, before = (v[d:].reshape(-1, self.scale.size)[experiment] for v in (z, at))
+        move = np.hstack([np.tile(z[:d] - at[:d], (experiment.size, 1)), x0 - before])
+        s = near.s + (near.chain()[0] @ move[..., None])[..., 0].T * self.scale[:, None]
         s[:, near.first] = x0[near.first].T * self.scale[:, None]
         is_known = near.steps == self.steps and np.array_equal(z, at)
         point = near if is_known else self.point(z[:d], s)
@@ -421,11 +421,11 @@ class Shooting:
                 return None
             if np.max(np.abs(point.defects), initial=0.0) <= _JOINED:
                 return point
-            s = s + point.chained()[1].T * self.scale[:, None]
+            s = s + point.chain()[1].T * self.scale[:, None]
             point = self.point(z[:d], s)
         return None
 
-    def _found(self, z: Vector) -> Point:
+    def _point_at(self, z: Vector) -> Point:
         point = self.joined(z)
         if point is None:
             raise InputError(
@@ -438,7 +438,7 @@ class Shooting:
 
     def residuals(self, z: Vector) -> Matrix:
         """Return measured minus simulated outputs (N, ny), NaN where an output is missing."""
-        return self.condensed(self._found(z))[0]
+        return self.condense(self._point_at(z))[0]
 
     def linearise(self, z: Vector) -> tuple[Vector, Matrix]:
         """Return residuals and derivatives of the joined trajectories."""
@@ -446,9 +446,9 @@ class Shooting:
         if point is None:
             M = int(np.count_nonzero(np.isfinite(self.segments.y)))
             return np.full(M, np.inf), np.zeros((M, z.size))
-        errors, derivatives = self.condensed(point)
-        known = np.isfinite(errors)
-        e, J = (errors / self.std)[known], (derivatives / self.std[:, None])[known]
+        errors, derivatives = self.condense(point)
+        finite = np.isfinite(errors)
+        e, J = (errors / self.std)[finite], (derivatives / self.std[:, None])[finite]
         cost = float(e @ e)
         if cost <= self.best[0]:
             self.best = cost, z.copy(), point
@@ -475,13 +475,13 @@ class Shooting:
         rounding remains is 0. The factors are the derivative of each parameter with respect to its
         coordinate, and an orthonormal basis of each experiment's responses to its initial state.
         """
-        values, n, point = self.fixed | self.values(z), self.scale.size, self._found(z)
+        values, n, point = self.fixed | self.values(z), self.scale.size, self._point_at(z)
         wide = replace(self, names=(*self.names, *held))
         eta = wide.coordinates.of([values[name] for name in wide.names])
-        e, derivatives = wide.condensed(wide.point(eta, point.s) if held else point)
-        known = np.isfinite(e)
-        J = (derivatives / self.std[:, None])[known]
-        edges = np.cumsum([0, *(np.count_nonzero(known[own]) for own in self.segments.rows)])
+        e, derivatives = wide.condense(wide.point(eta, point.s) if held else point)
+        finite = np.isfinite(e)
+        J = (derivatives / self.std[:, None])[finite]
+        edges = np.cumsum([0, *(np.count_nonzero(finite[part]) for part in self.segments.rows)])
         Psi, spans = J[:, : eta.size].copy(), []
         for i, (a, b) in enumerate(pairwise(edges)):
             free = J[a:b, eta.size + n * i : eta.size + n * (i + 1)]
@@ -499,7 +499,7 @@ class Shooting:
         self.best = np.inf, z, self.point(eta, np.zeros((n, self.segments.experiment.size)))
         return z
 
-    def begun(self, eta: Vector) -> Matrix:
+    def start_states(self, eta: Vector) -> Matrix:
         """Return states at the start of each segment; set enough steps and the states' scale.
 
         The states minimise the relaxed problem for given parameters. The search for them begins
@@ -510,15 +510,15 @@ class Shooting:
             alone = replace(self, names=(), fixed=values, box=Box(low=_NOTHING, high=_NOTHING))
             s = np.zeros((self.scale.size, self.segments.experiment.size))
             # A segment that starts at 0 ends near the states of the next, unless they integrate.
-            ends = self.model.integrated(course, s[:, None], values, self.steps).end[:, 0]
+            ends = self.model.integrate(course, s[:, None], values, self.steps).end[:, 0]
             s[:, 1:] = np.where(self.segments.first[1:], 0.0, ends[:, :-1])
             point = alone.point(_NOTHING, np.nan_to_num(s, posinf=0, neginf=0))
             s = alone.relax(_NOTHING, point, _WEIGHTS[0] * self.length)[1].s
             sizes = np.max(np.abs(s), axis=1)
             # An offset of 0 would have no scale.
-            known = np.isfinite(sizes) & (sizes > 0) & [x != OFFSET for x in self.model.states]
+            has_scale = np.isfinite(sizes) & (sizes > 0) & [x != OFFSET for x in self.model.states]
             before, steps = self.scale, self.steps
-            self.scale = np.where(known, sizes, 1.0)
+            self.scale = np.where(has_scale, sizes, 1.0)
             self.steps, _ = self.model.steps_and_error(course, s, values, least=steps)
             if steps == self.steps and np.all(np.abs(np.log(self.scale / before)) < 1):
                 break
@@ -529,5 +529,5 @@ class Shooting:
 
         With enough steps, their doubling changes the outputs by at most `allowed`.
         """
-        course, s, values = self.segments.course, self._found(z).s, self.fixed | self.values(z)
+        course, s, values = self.segments.course, self._point_at(z).s, self.fixed | self.values(z)
         return self.model.steps_and_error(course, s, values, least=self.steps, allowed=allowed)

@@ -17,7 +17,7 @@ from armrig.numerics.checks import require_integers, several
 from armrig.numerics.quantities import digits, p_relation, plural
 from armrig.physics.grey_box.estimate import greybox
 from armrig.physics.grey_box.fit import GreyFit
-from armrig.plots.layout import drawn_by
+from armrig.plots.layout import plot_method
 
 _DIFFERENCE_LEVEL = 0.01  # p value below which the parts differ
 _INTERVAL_OUTSIDE_SHARE = 0.05  # probability outside the confidence interval of `scatter`
@@ -160,7 +160,9 @@ class SplitStudy:
             )
         return lines
 
-    plot = drawn_by("plot_split", "the estimates with ±2 standard deviations and the law 1/sqrt(N)")
+    plot = plot_method(
+        "plot_split", "the estimates with ±2 standard deviations and the law 1/sqrt(N)"
+    )
 
     def __repr__(self) -> str:
         """Return a table with a line for each part and a line for each split."""
@@ -235,7 +237,7 @@ def split_study(
         for i, piece in enumerate(pieces, 1):
             part = f"part {i} of {k}"
             report(done, total, part)
-            fits.append(_estimated(estimator, piece, parameter, part))
+            fits.append(_estimate_part(estimator, piece, parameter, part))
             done += 1
         names, values, stds = zip(*fits, strict=True)
         splits.append(
@@ -251,7 +253,7 @@ def split_study(
     return SplitStudy(parameter=str(parameter), splits=tuple(splits), source=data.source)
 
 
-def _estimated(
+def _estimate_part(
     estimator: Callable[[Dataset], Any], data: Dataset, parameter: str | None, part: str
 ) -> tuple[str, float, float]:
     """Return name, estimate and std of a parameter from one part; an error names the part."""

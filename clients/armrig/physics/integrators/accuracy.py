@@ -159,7 +159,7 @@ def all_methods(methods: Sequence[str] | None) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Solution:
+class MethodAccuracy:
     """Error of one method with one step."""
 
     method: str
@@ -178,7 +178,7 @@ class Solution:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Advice(Solution):
+class RecommendedStep(MethodAccuracy):
     """Recommended step of one method."""
 
     verified: bool
@@ -199,7 +199,7 @@ class Recommendation:
     """Largest allowed error, as a share of each state's largest value."""
     span: float
     """Duration, in s."""
-    rows: tuple[Advice, ...]
+    rows: tuple[RecommendedStep, ...]
     """Advice for each method, the cheapest first."""
 
     def explain(self) -> str:
@@ -280,7 +280,7 @@ def recommend_step(
     return Recommendation(tolerance=tolerance, span=problem.span, rows=tuple(rows))
 
 
-def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
+def _advice(problem: Sinusoid, method: str, tolerance: float) -> RecommendedStep:
     limit = stability_limit(problem.A, method)
     if limit == 0:
         raise InputError(
@@ -290,7 +290,7 @@ def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
     largest = min(limit, problem.span / 10)
     h, error, verified = _step_for(problem, method, tolerance, largest)
     steps = max(1, ceil(problem.span / h - 1e-9))
-    return Advice(
+    return RecommendedStep(
         method=method,
         h=h,
         limit=limit,

@@ -116,9 +116,9 @@ def plot_stability_edge(
         )
     ax, below = panels(ax, 0.5)
     x0 = np.real(np.linalg.eig(A_)[1].sum(axis=1))
-    rest = np.zeros(A_.shape[0])
+    B = np.zeros(A_.shape[0])
     for panel, share, colour in ((ax, _BELOW_BOUND, BLUE), (below, _ABOVE_BOUND, VERMILION)):
-        _, x = integrate(A_, rest, lambda t: 0.0, x0, share * limit, n, method)
+        _, x = integrate(A_, B, lambda t: 0.0, x0, share * limit, n, method)
         panel.plot(np.arange(n + 1), x[:, state], color=colour, lw=0.5, rasterized=True)
         panel.set_ylabel(f"$x$ at {share:g} limit")
     below.set_xlabel(f"step number, {METHODS[method].name}, limit {limit:.5g} s")
@@ -147,14 +147,14 @@ def plot_solution(
     ax, below = panels(ax, 0.4)
     steps = h if isinstance(h, Mapping) else dict.fromkeys(all_methods(methods), h)
     names = all_methods(methods) if methods is not None else tuple(steps)
-    one = len(set(steps.values())) == 1
+    same_h = len(set(steps.values())) == 1
     end = max(steps[name] * max(1, round(problem.span / steps[name])) for name in names)
     fine = np.linspace(0.0, end, 1000)
     right = problem.truth(fine)[:, state]
     ax.plot(fine, right, color=MISSING, lw=4.0, label="exact")
     for name, pen in zip(names, pens(len(names)), strict=True):
         t, x = problem.solve(steps[name], max(1, round(problem.span / steps[name])), name)
-        text = METHODS[name].name if one else f"{METHODS[name].name}, {_in_ms(steps[name])}"
+        text = METHODS[name].name if same_h else f"{METHODS[name].name}, {_in_ms(steps[name])}"
         ax.plot(t, x[:, state], label=text, **(pen | {"lw": 0.7 * pen["lw"]}))
         below.plot(t, x[:, state] - problem.truth(t)[:, state], **(pen | {"lw": 0.7 * pen["lw"]}))
     span = float(np.ptp(right)) or 1.0
@@ -169,7 +169,7 @@ def plot_solution(
     below.set_ylabel(f"error\n{label[label.rfind(' [') + 1 :]}" if " [" in label else "error")
     below.set_xlabel("$t$ [s]")
     finish(ax, below, xlim=(0.0, end))
-    legend(ax, *([f"$h$ = {_in_ms(steps[names[0]])}"] if one else []))
+    legend(ax, *([f"$h$ = {_in_ms(steps[names[0]])}"] if same_h else []))
     return ax
 
 

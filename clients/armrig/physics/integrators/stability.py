@@ -126,15 +126,15 @@ def _boundaries(pi: Array, direction: complex) -> list[float]:
     # roots of the reduction (conj(p_k) p - p_0 p*) / zeta are inside. p* has the conjugated
     # coefficients in reverse order. The coefficients here are polynomials in r.
     p = [row * direction ** np.arange(pi.shape[1]) for row in pi]
-    found: list[float] = []
+    radii: list[float] = []
     while len(p) > 1:
         edge = polysub(polymul(p[-1], np.conj(p[-1])), polymul(p[0], np.conj(p[0])))
-        found += _positive_roots(edge.real)
+        radii += _positive_roots(edge.real)
         p = [
             polysub(polymul(np.conj(p[-1]), low), polymul(p[0], np.conj(high)))
             for low, high in zip(p[1:], p[-2::-1], strict=True)
         ]
-    return sorted(found)
+    return sorted(radii)
 
 
 def _positive_roots(p: Array) -> list[float]:

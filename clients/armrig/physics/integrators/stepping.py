@@ -26,8 +26,8 @@ def system(
 
     Raises ValueError if the shapes do not match, or a number is not finite.
     """
-    for name, given in (("A", A), ("B", B), ("x0", x0)):
-        if given is not None and np.iscomplexobj(np.asarray(given)):
+    for name, array in (("A", A), ("B", B), ("x0", x0)):
+        if array is not None and np.iscomplexobj(np.asarray(array)):
             raise InputError(
                 f"{name} is complex: give the real system of twice the size, [[Re, -Im], [Im, Re]]"
             )

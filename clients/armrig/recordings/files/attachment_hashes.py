@@ -27,16 +27,16 @@ def attachment_fault(content: Content, manifest: Manifest) -> str:
     the recording would be read as that of the arm, unless a damage of the file explains it.
     """
     for name, recorded in manifest.attachment_hashes.items():
-        came = content.input_sha256 if name == manifest.source else ""
+        digest = content.input_sha256 if name == manifest.source else ""
         if name in content.attachments:
-            came = sha256(content.attachments[name]).hexdigest()
-        if came and came != recorded:
+            digest = sha256(content.attachments[name]).hexdigest()
+        if digest and digest != recorded:
             return (
                 f"the attachment '{name}' is not that of this run: its SHA-256 begins with "
-                f"{came[:_SHOWN_DIGITS]}, in the manifest with {recorded[:_SHOWN_DIGITS]}; "
+                f"{digest[:_SHOWN_DIGITS]}, in the manifest with {recorded[:_SHOWN_DIGITS]}; "
                 f"{_WAY_OUT}"
             )
-        if name == DESCRIPTION and not came and not _damage(content):
+        if name == DESCRIPTION and not digest and not _damage(content):
             return (
                 f"the attachment '{name}' is missing, but the manifest contains its SHA-256: the "
                 f"outputs of the rig are not known; {_WAY_OUT}"

@@ -25,16 +25,16 @@ import msgspec
 import numpy as np
 import platformdirs
 from armrig_core.process.bounded import read_bounded
-from armrig_core.process.imports import imported
+from armrig_core.process.imports import load_extra
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.unfinished import unfinished
+from armrig_core.recording_file.unfinished import unfinished_files
 from numpy.typing import NDArray
 
 from armrig.numerics.quantities import plural
 from armrig.recordings.files.recording_summary import (
     ForeignError,
     RecordingSummary,
-    shown_path,
+    path_text,
     summary_of,
 )
 
@@ -150,7 +150,7 @@ class Catalogue:
           experiment  samples    Ts
         0   blackbox     3000  0.01
         """
-        pandas = imported("pandas", "pandas")
+        pandas = load_extra("pandas", "pandas")
         frame: DataFrame = pandas.DataFrame(self.columns())
         frame["started"] = frame["started"].dt.tz_localize("UTC")
         return frame
@@ -172,8 +172,8 @@ class Catalogue:
         >>> pandas.read_parquet("all.parquet").shape
         (1, 21)
         """
-        pyarrow = imported("pyarrow", "parquet")
-        parquet = imported("pyarrow.parquet", "parquet")
+        pyarrow = load_extra("pyarrow", "parquet")
+        parquet = load_extra("pyarrow.parquet", "parquet")
         columns: dict[str, Any] = self.columns()
         for name, column in columns.items():
             if name == "started":
@@ -223,43 +223,43 @@ def catalogue(folder: str | Path) -> Catalogue:
     ['64ad4518']
     """
     folder = Path(folder)
-    looked_ns, files = time_ns(), found_files(folder)
+    looked_ns, files = time_ns(), recording_files(folder)
     before = read_index(folder) if len(files) >= WORTH_KEEPING else {}
     rows: list[RecordingSummary] = []
     left_out: list[LeftOut] = []
     kept: dict[str, Known] = {}
     for name, state in files:
-        known = before.get(name)
-        if known is None or known.state != state_of(state):
+        facts = before.get(name)
+        if facts is None or facts.state != state_of(state):
             try:
-                known = Known(state_of(state), summary_of(folder / name))
+                facts = Known(state_of(state), summary_of(folder / name))
             except DamageError as err:
-                known = Known(state_of(state), str(err), isinstance(err, ForeignError))
+                facts = Known(state_of(state), str(err), isinstance(err, ForeignError))
             except OSError as err:  # the error may be temporary, so it is not kept
                 left_out.append(LeftOut(folder / name, err.strerror or str(err)))
                 continue
         # Each later change of a settled file gives the file other time stamps.
         if max(state.st_mtime_ns, state.st_ctime_ns) < looked_ns - SETTLED_NS:
-            kept[name] = known
-        if isinstance(known.found, str):
-            left_out.append(LeftOut(folder / name, known.found, known.is_foreign))
+            kept[name] = facts
+        if isinstance(facts.found, str):
+            left_out.append(LeftOut(folder / name, facts.found, facts.is_foreign))
         else:
-            rows.append(known.found)
-    if sum(known is not before.get(name) for name, known in kept.items()) >= WORTH_KEEPING:
+            rows.append(facts.found)
+    if sum(facts is not before.get(name) for name, facts in kept.items()) >= WORTH_KEEPING:
         write_index(folder, kept)
     return Catalogue(
         folder=folder,
         recordings=tuple(rows),
         left_out=tuple(left_out),
-        unfinished=tuple(unfinished(folder)),
+        unfinished=tuple(unfinished_files(folder)),
     )
 
 
 def facts_of(summary: RecordingSummary) -> dict[str, Any]:
     """Return the facts of a recording by name, as `--json` prints them."""
-    known = {"recording": shown_path(summary.path), "validation_of": summary.validation_of or None}
+    facts = {"recording": path_text(summary.path), "validation_of": summary.validation_of or None}
     return {
-        name: known[name] if name in known else getattr(summary, _PROPERTIES.get(name, name))
+        name: facts[name] if name in facts else getattr(summary, _PROPERTIES.get(name, name))
         for name in COLUMNS
     }
 
@@ -294,9 +294,9 @@ class _Index(msgspec.Struct, frozen=True):
     """Facts by the names of the files."""
 
 
-def state_of(found: os.stat_result) -> str:
+def state_of(status: os.stat_result) -> str:
     """Return a text that changes if the file is changed or replaced."""
-    return f"{found.st_size} {found.st_mtime_ns} {found.st_ctime_ns} {found.st_ino}"
+    return f"{status.st_size} {status.st_mtime_ns} {status.st_ctime_ns} {status.st_ino}"
 
 
 def read_index(folder: Path) -> dict[str, Known]:
@@ -315,8 +315,8 @@ def write_index(folder: Path, files: Mapping[str, Known]) -> None:
 
     If two processes write at the same time, the complete index of one process remains.
     """
-    known = {name: file for name, file in files.items() if _is_text(name)}
-    index = _Index(armrig=version("armrig"), folder=str(folder.absolute()), files=known)
+    stored_files = {name: file for name, file in files.items() if _is_text(name)}
+    index = _Index(armrig=version("armrig"), folder=str(folder.absolute()), files=stored_files)
     try:
         path = _path(folder)
         # The folder is the same in all rows, so the file contains it only once.
@@ -359,7 +359,7 @@ class FoundFile(NamedTuple):
     """Size, times and inode number of the file; a link is followed to its file."""
 
 
-def found_files(folder: Path) -> list[FoundFile]:
+def recording_files(folder: Path) -> list[FoundFile]:
     """Return the finished recordings of a folder, newest first.
 
     A file is sorted by the time in its name if the daemon named it, and by its modification time
@@ -367,7 +367,7 @@ def found_files(folder: Path) -> list[FoundFile]:
 
     Raises OSError if the folder does not exist or cannot be read.
     """
-    found = []
+    files = []
     with os.scandir(folder) as entries:
         for entry in entries:
             if not entry.name.endswith(_SUFFIX) or entry.name == _SUFFIX:
@@ -375,14 +375,14 @@ def found_files(folder: Path) -> list[FoundFile]:
             with suppress(OSError):  # the file was removed, or is a link to nothing
                 state = entry.stat()
                 if stat.S_ISREG(state.st_mode):
-                    found.append(FoundFile(entry.name, state))
-    return sorted(found, key=_age, reverse=True)
+                    files.append(FoundFile(entry.name, state))
+    return sorted(files, key=_age, reverse=True)
 
 
 def newest_first(folder: Path) -> list[Path]:
     """Return the paths of `found_files`; an empty list if the folder does not exist."""
     try:
-        return [folder / file.name for file in found_files(folder)]
+        return [folder / file.name for file in recording_files(folder)]
     except (FileNotFoundError, NotADirectoryError):
         return []
 
@@ -405,8 +405,8 @@ def may_answer_to(path: Path, name: str, *, validation: bool) -> bool:
 def _age(file: FoundFile) -> tuple[str, float, str]:
     """Return the sort key by age: the time in the daemon's file name, or the modification time."""
     changed = file.state.st_mtime
-    found = _FILE_NAME.fullmatch(file.name)
-    return found[1] if found else _local_stamp(changed), changed, file.name
+    match = _FILE_NAME.fullmatch(file.name)
+    return match[1] if match else _local_stamp(changed), changed, file.name
 
 
 def _local_stamp(changed: float) -> str:

@@ -24,9 +24,9 @@ from armrig_core.recording_file.file_records import (
     RECORD_HEAD,
     UNREADABLE,
     CutOffError,
+    FileRecord,
     Place,
-    Record,
-    Wanted,
+    RecordSelection,
     attachment_sha256,
     check_attachment,
     file_records,
@@ -50,7 +50,7 @@ from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
 from armrig.numerics.quantities import plural
-from armrig.recordings.files.recording_summary import data_stream, indexed_records
+from armrig.recordings.files.recording_summary import data_stream, read_by_index
 from armrig.recordings.files.sample_rows import ROW_LENGTH, SAMPLE_DTYPE, SampleRows
 
 _DAMAGES = (DamageError, *UNREADABLE)
@@ -103,7 +103,7 @@ class Content:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class FileRange:
     """Part of a file to read; chunks outside this part are skipped."""
 
     from_ns: int
@@ -118,7 +118,11 @@ class Part:
 
 
 def read(
-    path: Path, streams: Collection[str] = READ, *, part: Part | None = None, digest: bool = True
+    path: Path,
+    streams: Collection[str] = READ,
+    *,
+    part: FileRange | None = None,
+    digest: bool = True,
 ) -> Content | None:
     """Return the content of the file at `path`, or None if it is not an MCAP file.
 
@@ -133,7 +137,7 @@ def read(
         if source is None:
             return None
         reader = _Reader(Content(size=source.at + source.left), streams)
-        for _ in _walked(source, reader, part):
+        for _ in _read_records(source, reader, part):
             pass
         content, sha256 = reader.content, source.sha256() if digest else ""
         if reader.end:
@@ -145,7 +149,7 @@ def read(
     return content
 
 
-def streamed(path: Path, stream: str) -> Iterator[Any]:
+def stream_messages(path: Path, stream: str) -> Iterator[Any]:
     """Yield the protobuf messages of one stream up to the first damage, without storing them.
 
     Raises the exceptions of `read`.
@@ -154,7 +158,7 @@ def streamed(path: Path, stream: str) -> Iterator[Any]:
         if source is None:
             return
         reader = _Reader(Content(size=source.at + source.left), (stream,))
-        for _ in _walked(source, reader, None):
+        for _ in _read_records(source, reader, None):
             yield from reader.content.messages.pop(stream, ())
             reader.budget.regain(KEPT)
 
@@ -164,17 +168,19 @@ def law_decisions(paths: Sequence[Path]) -> dict[str, NDArray[np.float64]]:
 
     Raises the exceptions of `read`.
     """
-    messages = chain.from_iterable(streamed(path, "control") for path in paths)
+    messages = chain.from_iterable(stream_messages(path, "control") for path in paths)
     table = np.array([[getattr(m, name) for name in _DECISION] for m in messages], np.float64)
     return dict(zip(_DECISION, table.reshape(-1, len(_DECISION)).T, strict=True))
 
 
-def _walked(source: ByteSource, reader: _Reader, part: Part | None) -> Iterator[None]:
+def _read_records(source: ByteSource, reader: _Reader, part: FileRange | None) -> Iterator[None]:
     """Read to the end or to the first damage, which the content names; yield after each record."""
     content = reader.content
-    wanted = Wanted(left=SOURCES)
+    wanted = RecordSelection(left=SOURCES)
     if part is not None:
-        wanted = Wanted(left=SOURCES, chunk=lambda start, end: reader.wants(part, start, end))
+        wanted = RecordSelection(
+            left=SOURCES, chunk=lambda start, end: reader.wants(part, start, end)
+        )
     try:
         for record in file_records(source, wanted, reader.spend_work):
             reader.add(record)
@@ -192,7 +198,7 @@ def _read_by_index(source: ByteSource, first: _Reader) -> Content:
     content, left_out = Content(size=first.content.size), 0
     reader = _Reader(content, first.kept)
     try:
-        for record in indexed_records(source.stream, content.size, SOURCES):
+        for record in read_by_index(source.stream, content.size, SOURCES):
             reader.spend_work(1)
             if record is None:
                 left_out += 1
@@ -205,10 +211,10 @@ def _read_by_index(source: ByteSource, first: _Reader) -> Content:
     except _DAMAGES:
         return first.content
     reader.finish()
-    found = (
+    remark = (
         f"the other records were found by the file's index, {plural(left_out, 'record')} left out"
     )
-    content.damage = "; ".join(filter(None, [*reader.left_out, first.end, found, reader.end]))
+    content.damage = "; ".join(filter(None, [*reader.left_out, first.end, remark, reader.end]))
     return content
 
 
@@ -245,7 +251,7 @@ class _Reader:
         """Charge the work of reading records to the budget."""
         self.budget.spend(WORK, cost)
 
-    def wants(self, part: Part, start: int, end: int) -> bool:
+    def wants(self, part: FileRange, start: int, end: int) -> bool:
         """Return True if a chunk with these log times may contain samples of the part."""
         if self.rows.is_empty:
             return True  # the first sample is always read: it relates times to k
@@ -256,7 +262,7 @@ class _Reader:
         self.rows.pack()  # a sample of the part may be in a later chunk
         return self.rows.last_k < part.k_end - 1
 
-    def add(self, record: Record) -> None:
+    def add(self, record: FileRecord) -> None:
         """Add one record of the file."""
         if record.opcode == Opcode.ATTACHMENT and not record.body:
             self.content.input = self.content.input or record.place
@@ -265,8 +271,8 @@ class _Reader:
         at, length = record.place
         if record.opcode == Opcode.CHUNK:
             self._chunks_at = self._chunks_at or at
-            of = self.content.size - self._chunks_at
-            self.rows.settle((at + length - self._chunks_at) / max(of, length))
+            total = self.content.size - self._chunks_at
+            self.rows.settle((at + length - self._chunks_at) / max(total, length))
         else:
             self.rows.settle()
 
@@ -342,7 +348,7 @@ class _Reader:
         if stream == "sample":
             self.rows.add(data)
             return
-        parsed = protobuf.decoded(protobuf.OF_STREAM[stream], data)
+        parsed = protobuf.decode_message(protobuf.OF_STREAM[stream], data)
         self.budget.spend(WORK, _RECORD_WORK)
         self.budget.spend(KEPT, len(data) + _OVERHEADS[stream])
         self.content.messages.setdefault(stream, []).append(parsed)

@@ -122,18 +122,18 @@ def control_run(recording: Recording) -> ControlRun | None:
     law = law_of(beginning(recording.path)[1].attachments)
     if law is None:
         return None
-    found = recording.decisions()
+    decisions = recording.decisions()
     return ControlRun(
         law=law,
-        k=found["k"].astype(np.int64),
-        r=found["r"],
-        v=found["v"],
-        u=found["u_v"],
-        is_low=found["is_low"].astype(np.bool_),
-        is_high=found["is_high"].astype(np.bool_),
-        is_slewed=found["is_slewed"].astype(np.bool_),
-        predicted=found["predicted"].astype(np.int64),
-        reference_n=found["reference_n"].astype(np.int64),
+        k=decisions["k"].astype(np.int64),
+        r=decisions["r"],
+        v=decisions["v"],
+        u=decisions["u_v"],
+        is_low=decisions["is_low"].astype(np.bool_),
+        is_high=decisions["is_high"].astype(np.bool_),
+        is_slewed=decisions["is_slewed"].astype(np.bool_),
+        predicted=decisions["predicted"].astype(np.int64),
+        reference_n=decisions["reference_n"].astype(np.int64),
     )
 
 
@@ -141,6 +141,6 @@ def own_control_run(recording: Recording) -> OwnControlRun | None:
     """Return the voltages that the client of a run in control set; None for another run."""
     if recording.manifest.controller_sha256 != "" or recording.decisions is None:
         return None
-    found = recording.decisions()
-    k, missed = (found[name].astype(np.int64) for name in ("k", "predicted"))
-    return OwnControlRun(k, found["r"], found["u_v"], missed)
+    decisions = recording.decisions()
+    k, missed = (decisions[name].astype(np.int64) for name in ("k", "predicted"))
+    return OwnControlRun(k, decisions["r"], decisions["u_v"], missed)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from armrig_core.process.imports import imported
+from armrig_core.process.imports import load_extra
 from numpy.typing import NDArray
 
 from armrig.data.files.imported_file import ImportedData
@@ -28,10 +28,10 @@ def write_csv(recording: Recording, path: Path, *, raw: bool = False) -> None:
     _write_csv(export_columns(recording, raw=raw), path)
 
 
-def _write_csv(found: dict[str, NDArray[Any]], path: Path) -> None:
-    columns = [c.astype(np.uint8) if c.dtype == np.bool_ else c for c in found.values()]
+def _write_csv(table: dict[str, NDArray[Any]], path: Path) -> None:
+    columns = [c.astype(np.uint8) if c.dtype == np.bool_ else c for c in table.values()]
     with path.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerow(found)
+        csv.writer(file, lineterminator="\n").writerow(table)
         for begin in range(0, columns[0].size, _BLOCK_ROWS):
             some = [map(repr, c[begin : begin + _BLOCK_ROWS].tolist()) for c in columns]
             file.writelines(",".join(row) + "\n" for row in zip(*some, strict=True))
@@ -52,12 +52,12 @@ def write_mat(
     """
     from scipy.io import savemat
 
-    found = export_columns(recording, raw=raw)
+    table = export_columns(recording, raw=raw)
     output = recording.first if output is None else output
     recording.channel(output)  # an unknown name is refused
     # Octave and MATLAB compute with doubles and logical values only.
-    kinds = {name: np.bool_ if c.dtype == np.bool_ else np.float64 for name, c in found.items()}
-    variables: dict[str, Any] = {name: column.astype(kinds[name]) for name, column in found.items()}
+    kinds = {name: np.bool_ if c.dtype == np.bool_ else np.float64 for name, c in table.items()}
+    variables: dict[str, Any] = {name: column.astype(kinds[name]) for name, column in table.items()}
     variables |= {"u": variables[recording.description.input.name], "y": variables[output]}
     variables["Ts"] = recording.Ts
     about = {"sha256": recording.sha256, "output": output, "run_id": recording.manifest.run_id}
@@ -104,7 +104,7 @@ def write_parquet(recording: Recording, path: Path, *, raw: bool = False) -> Non
 
 
 def _write_parquet(columns: dict[str, NDArray[Any]], about: dict[str, str], path: Path) -> None:
-    pyarrow = imported("pyarrow", "parquet")
-    parquet = imported("pyarrow.parquet", "parquet")
+    pyarrow = load_extra("pyarrow", "parquet")
+    parquet = load_extra("pyarrow.parquet", "parquet")
     table = pyarrow.table(columns)
     parquet.write_table(table.replace_schema_metadata(about), str(path))

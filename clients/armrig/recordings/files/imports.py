@@ -38,7 +38,7 @@ def import_of(path: Path) -> Import | None:
         return None
 
 
-def imported_data(path: Path) -> ImportedData | None:
+def load_import(path: Path) -> ImportedData | None:
     """Return the columns of an imported recording; None for any other file.
 
     Raises FileError if the imported recording is damaged.
@@ -110,7 +110,7 @@ def require_rig(path: Path, command: str) -> None:
         )
 
 
-def imported_as(sha256: str) -> str:
+def name_of_import(sha256: str) -> str:
     """Return the @NAME of the newest import of a file with this hash; "" if there is none."""
     try:
         folder = recording_folder()

@@ -34,19 +34,19 @@ from numpy.typing import NDArray
 from armrig.data.files import IMPORTED, OTHER_DATA, RECORDING
 from armrig.numerics.quantities import plural
 from armrig.recordings.channels import channels_of
-from armrig.recordings.daemon_reports import Clock, Gap, reports_of
+from armrig.recordings.daemon_reports import Gap, RecordingClock, reports_of
 from armrig.recordings.files.attachment_hashes import attachment_fault, without_hash
-from armrig.recordings.files.container import Content, Part, law_decisions, read
-from armrig.recordings.files.imports import imported_data, recording_of
+from armrig.recordings.files.container import Content, FileRange, law_decisions, read
+from armrig.recordings.files.imports import load_import, recording_of
 from armrig.recordings.files.input_attachment import read_input
-from armrig.recordings.files.recording_names import named_path
+from armrig.recordings.files.recording_names import path_of_name
 from armrig.recordings.files.recording_summary import is_foreign, is_recording
-from armrig.recordings.grid import Grid, check_sampling_time, grid
+from armrig.recordings.grid import SampleGrid, check_sampling_time, grid
 from armrig.recordings.recording import Recording, Vector
 
 EVERYTHING = (0, 1 << 63)
 """Range of indices that contains all samples."""
-_BEGINNING = Part(from_ns=0, to_ns=-1, k_end=0)  # up to the first chunk with samples
+_BEGINNING = FileRange(from_ns=0, to_ns=-1, k_end=0)  # up to the first chunk with samples
 _REPORT_DELAY_NS = 1_000_000_000  # largest time between a sample and a report about it
 _MAX_TIME = 1e15  # in s or in samples: later than any sample, and still exact as an integer
 _ROUNDING_SAMPLES = 1e-6  # in samples: 0.3 / 0.1 is not exactly 3
@@ -108,12 +108,12 @@ def load(
     >>> u[:3].round(1)
     array([0.5, 4.5, 4.5])
     """
-    given = [path] if isinstance(path, str | Path) else path
-    if not isinstance(given, list | tuple) or not all(isinstance(p, str | Path) for p in given):
+    sources = [path] if isinstance(path, str | Path) else path
+    if not isinstance(sources, list | tuple) or not all(isinstance(p, str | Path) for p in sources):
         msg = f'path is a {type(path).__name__}: pass the name of a file, armrig.load("F.mcap"), '
         raise InputTypeError(msg + "or a list of the parts of a run, in their order")
-    named = [named_path(one) for one in given]
-    paths = [part for one in named for part in files_of(one)]
+    named = [path_of_name(source) for source in sources]
+    paths = [part for source in named for part in files_of(source)]
     if not paths:
         raise FileError("the list of paths is empty: give at least one path of a recording")
     name = named[0] if len(named) == 1 else paths[0]
@@ -123,17 +123,17 @@ def load(
             msg = f"{file}: is a recording, not a calibration; give the parts of a run as a list, "
             raise FileError(f'{msg}armrig.load(["{paths[0].name}", "{file.name}"])')
         calibration = read_calibration(file)
-    if len(paths) == 1 and (data := imported_data(name)) is not None:
+    if len(paths) == 1 and (data := load_import(name)) is not None:
         if (start, stop) != (None, None) or calibration is not None:
             raise FileError(f"{name}: imported data are loaded whole, without a calibration")
-        return recording_of(name, str(given[0]), data)
-    found = run_content(paths, start, stop)
-    called = str(given[0]) if str(given[0]).startswith("@") and len(given) == 1 else name.name
-    recording = _assembled(name, called, found, calibration or found.calibration, paths)
-    if found.between != EVERYTHING and not recording.N:
+        return recording_of(name, str(sources[0]), data)
+    run = run_content(paths, start, stop)
+    called = str(sources[0]) if str(sources[0]).startswith("@") and len(sources) == 1 else name.name
+    recording = _assemble(name, called, run, calibration or run.calibration, paths)
+    if run.between != EVERYTHING and not recording.N:
         msg = f"{name}: it contains no sample from {start or 0:g} s"
         msg += f" to {stop:g} s" if stop is not None else " on"
-        asked_s = found.manifest.samples * found.manifest.Ts
+        asked_s = run.manifest.samples * run.manifest.Ts
         raise FileError(f"{msg}; its run has {asked_s:g} s" if asked_s > 0 else msg)
     return recording
 
@@ -202,11 +202,11 @@ def run_content(
     between, part = EVERYTHING, None
     if start is not None or stop is not None:
         between, part = _part(paths[0], start or 0.0, inf if stop is None else stop)
-    files = [_read(one, part, digest=digest) for one in paths]
+    files = [_read(path, part, digest=digest) for path in paths]
     content, manifest, ended, attached = files[0]
     if len(files) > 1:
         try:
-            content = joined([f[0] for f in files], [f[1] for f in files])
+            content = join_parts([f[0] for f in files], [f[1] for f in files])
         except ValueError as err:
             raise FileError(f"{paths[0]}: {err}") from err
         ended = files[-1][2]
@@ -228,7 +228,7 @@ _IMPORTED = (
 _File = tuple[Content, Manifest, Outcome | None, Calibration | None]
 
 
-def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
+def _read(path: Path, part: FileRange | None, *, digest: bool) -> _File:
     """Return content, manifest, outcome and calibration of a file; raises the errors of `load`."""
     try:
         content = read(path, part=part, digest=digest)
@@ -250,7 +250,7 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
         ended = None if outcome is None else records.Outcome.of(outcome)
         text = content.attachments.get(records.CALIBRATION)
         attached = None if text is None else msgspec.json.decode(text, type=Calibration)
-        recovered = _recovered(content)
+        recovered = _recovery(content)
         records.check_whole_numbers(manifest)
         if ended is not None:
             records.check_whole_numbers(ended)
@@ -292,7 +292,7 @@ def beginning(path: Path) -> tuple[Path, Content]:
     return first, _read(first, _BEGINNING, digest=False)[0]
 
 
-def _part(path: Path, start: float, stop: float) -> tuple[tuple[int, int], Part]:
+def _part(path: Path, start: float, stop: float) -> tuple[tuple[int, int], FileRange]:
     """Convert a time range to a range of sample indices and the part of the file to read."""
     if not 0 <= start < stop:
         raise FileError(f"start={start:g} s and stop={stop:g} s: 0 <= start < stop is needed")
@@ -305,7 +305,7 @@ def _part(path: Path, start: float, stop: float) -> tuple[tuple[int, int], Part]
     zero_ns = clock.zero_ns + clock.offset_ns - _REPORT_DELAY_NS
     from_ns = zero_ns + round(min(start, _MAX_TIME) * 1e9)
     to_ns = zero_ns + round(min(stop, _MAX_TIME) * 1e9) + 2 * _REPORT_DELAY_NS
-    return (first, end), Part(from_ns=from_ns, to_ns=to_ns, k_end=end)
+    return (first, end), FileRange(from_ns=from_ns, to_ns=to_ns, k_end=end)
 
 
 def origin_of(content: Content, manifest: Manifest) -> int:
@@ -315,19 +315,19 @@ def origin_of(content: Content, manifest: Manifest) -> int:
     return int(content.samples["k"][0])
 
 
-def _recovered(content: Content) -> Recovered | None:
+def _recovery(content: Content) -> Recovered | None:
     entries = content.metadata.get(records.RECOVERED)
     return None if entries is None else records.Recovered.of(entries)
 
 
-def _assembled(
+def _assemble(
     path: Path,
     name: str,
-    found: RunContent,
+    run: RunContent,
     calibration: Calibration | None,
     paths: Sequence[Path],
 ) -> Recording:
-    content, manifest, outcome, _, between = found
+    content, manifest, outcome, _, between = run
     try:
         description = records.description_of(content.attachments)
     except (FileError, InputError) as err:
@@ -356,7 +356,7 @@ def _assembled(
     t *= manifest.Ts
     if between != EVERYTHING:
         first, end = rows.k_first, rows.k_first + rows.N
-        reports = {name: _within(found, t, manifest.Ts) for name, found in reports.items()}
+        reports = {name: _within(series, t, manifest.Ts) for name, series in reports.items()}
         reports["gaps"] = tuple(g for g in gaps if g.k_first < end and g.k_first + g.count > first)
     driver, u = calibration.driver if calibration else Driver(), _input(samples, rows, gaps)
     recording = Recording(
@@ -365,7 +365,7 @@ def _assembled(
         sha256=content.sha256,
         manifest=manifest,
         outcome=outcome,
-        recovered=_recovered(content),
+        recovered=_recovery(content),
         calibration=calibration,
         k_first=rows.k_first,
         t=t,
@@ -394,16 +394,16 @@ def _assembled(
         unhashed=without_hash(content, manifest),
         **reports,
     )
-    shown = (recording.channel(channel.name) for channel in description.channels)
+    pairs = (recording.channel(channel.name) for channel in description.channels)
     r = () if recording.r is None else (recording.r,)
-    arrays = (*r, recording.t, recording.u, *chain.from_iterable(shown), recording.present, samples)
+    arrays = (*r, recording.t, recording.u, *chain.from_iterable(pairs), recording.present, samples)
     for array in arrays:
         array.flags.writeable = False
     return recording
 
 
 def _reference(
-    paths: Sequence[Path], content: Content, manifest: Manifest, rows: Grid
+    paths: Sequence[Path], content: Content, manifest: Manifest, rows: SampleGrid
 ) -> Vector | None:
     """Return the reference at each row of a run in control; None if the reference is not known.
 
@@ -430,15 +430,15 @@ def _reference(
     return None
 
 
-def _within(found: tuple[Any, ...], t: Vector, Ts: float) -> tuple[Any, ...]:
+def _within(reports: tuple[Any, ...], t: Vector, Ts: float) -> tuple[Any, ...]:
     """Return the reports whose times are between the first time in `t` and the last time + Ts."""
     if not t.size:
         return ()
     begin, end = float(t[0]), float(t[-1]) + Ts
-    return tuple(f for f in found if begin <= f.t < end)
+    return tuple(f for f in reports if begin <= f.t < end)
 
 
-def clock_of(content: Content, manifest: Manifest, k_first: int) -> Clock:
+def clock_of(content: Content, manifest: Manifest, k_first: int) -> RecordingClock:
     """Return the clock whose zero is the time at which sample `k_first` was due."""
     if content.samples.size:
         k, due_ns = (int(content.samples[name][0]) for name in ("k", "t_sched_ns"))
@@ -448,10 +448,10 @@ def clock_of(content: Content, manifest: Manifest, k_first: int) -> Clock:
     else:
         k, due_ns = k_first, 0
     zero_ns = due_ns - round((k - k_first) * manifest.Ts * 1e9)
-    return Clock(zero_ns=zero_ns, offset_ns=manifest.clock_offset_ns)
+    return RecordingClock(zero_ns=zero_ns, offset_ns=manifest.clock_offset_ns)
 
 
-def _input(samples: NDArray[np.void], rows: Grid, gaps: tuple[Gap, ...]) -> Vector:
+def _input(samples: NDArray[np.void], rows: SampleGrid, gaps: tuple[Gap, ...]) -> Vector:
     """Return the voltage (N,) in V; that of a missing sample is in its gap record, else NaN."""
     applied = samples["u_applied_v"]
     if applied.size == rows.N:
@@ -461,7 +461,7 @@ def _input(samples: NDArray[np.void], rows: Grid, gaps: tuple[Gap, ...]) -> Vect
     return u
 
 
-def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Content:
+def join_parts(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Content:
     """Join the contents of consecutive parts of one run into one content.
 
     Raises ValueError if the parts belong to different runs, a part is missing, or k does not
@@ -478,7 +478,7 @@ def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Conten
                 f"part {after.part} does not follow part {before.part}: give the parts of a run "
                 "in their order, with none left out"
             )
-    whole = Content(
+    run = Content(
         sha256=hashlib.sha256("".join(c.sha256 for c in contents).encode()).hexdigest(),
         size=sum(c.size for c in contents),
         damage="; ".join(
@@ -496,12 +496,12 @@ def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Conten
     )
     for content in contents:
         for stream, messages in content.messages.items():
-            whole.messages.setdefault(stream, []).extend(messages)
+            run.messages.setdefault(stream, []).extend(messages)
         if RECOVERED in content.metadata:
-            whole.metadata[RECOVERED] = content.metadata[RECOVERED]
+            run.metadata[RECOVERED] = content.metadata[RECOVERED]
     if OUTCOME in contents[-1].metadata:
-        whole.metadata[OUTCOME] = contents[-1].metadata[OUTCOME]
-    k = whole.samples["k"]
+        run.metadata[OUTCOME] = contents[-1].metadata[OUTCOME]
+    k = run.samples["k"]
     if k.size and not (k[1:] > k[:-1]).all():
         raise InputError("the samples of a part do not follow the samples of the previous part")
-    return whole
+    return run

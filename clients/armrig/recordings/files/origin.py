@@ -13,7 +13,7 @@ from armrig_core.commands.commands import StatusReport
 from armrig_core.errors import FileError
 from armrig_core.recording_file.manifest import CALIBRATION, Manifest, description_of
 from armrig_core.rig.calibration import Calibration, Conversion
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, builtin
 
 from armrig.recordings.files.loading import beginning
 from armrig.recordings.files.recording_summary import RecordingSummary
@@ -40,7 +40,7 @@ class Origin:
         return cls(
             rig=manifest.rig,
             device=str(manifest.device.get("uid", "")),
-            description_sha256=_described(manifest.description_sha256),
+            description_sha256=_description_hash(manifest.description_sha256),
             calibration_sha256=manifest.calibration_sha256,
             path=path,
         )
@@ -51,7 +51,7 @@ class Origin:
         return cls(
             rig=summary.rig,
             device=summary.device,
-            description_sha256=_described(summary.description_sha256),
+            description_sha256=_description_hash(summary.description_sha256),
             calibration_sha256=summary.calibration_sha256,
             path=summary.path,
         )
@@ -66,7 +66,7 @@ class Origin:
             calibration_sha256=report.calibration_sha256,
         )
 
-    def calibrated(self, sha256: str) -> Self:
+    def with_calibration(self, sha256: str) -> Self:
         """Return the origin of later recordings, which have another calibration."""
         return replace(self, calibration_sha256=sha256, path=None)
 
@@ -87,9 +87,9 @@ class Origin:
         return values is not None and values == conversion_of(summary.path)
 
 
-def _described(sha256: str) -> str:
+def _description_hash(sha256: str) -> str:
     """Return the hash of a description; recordings without a hash are of the arm."""
-    return sha256 or shipped("arm").sha256
+    return sha256 or builtin("arm").sha256
 
 
 @lru_cache(maxsize=1000)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from armrig_core.errors import FileError, OperationError
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.recording_directory import directory_to_look_in, installed
+from armrig_core.recording_file.recording_directory import configuration_files, directory_to_look_in
 
 from armrig.recordings.files.catalogue import may_answer_to, newest_first, summaries
 from armrig.recordings.files.recording_summary import RecordingSummary, summary_of
@@ -30,12 +30,12 @@ class NoSuchRecordingError(OperationError):
 def recording_folder() -> Path:
     """Return the recording folder of this user's daemon or of this machine's service."""
     try:
-        return directory_to_look_in(installed(), os.environ)
+        return directory_to_look_in(configuration_files(), os.environ)
     except ValueError as err:  # typer would replace the message of a ValueError
         raise NoSuchRecordingError(str(err)) from err
 
 
-def named_path(name: str | Path) -> Path:
+def path_of_name(name: str | Path) -> Path:
     """Return the path of a recording from its @NAME in the recording folder, or from its path.
 
     Raises FileError if no recording has the name, or several recordings have the name.
@@ -43,12 +43,12 @@ def named_path(name: str | Path) -> Path:
     if not str(name).startswith("@") or Path(name).exists():
         return Path(name)
     try:
-        return chosen(str(name), recording_folder()).path
+        return find_recording(str(name), recording_folder()).path
     except NoSuchRecordingError as err:
         raise FileError(str(err)) from err
 
 
-def chosen(text: str, folder: Path) -> RecordingSummary:
+def find_recording(text: str, folder: Path) -> RecordingSummary:
     """Return the finished recording that a name means: `@last`, `@NAME` or `@NAME/validation`.
 
     The function reads the names of all files, and the metadata of matching files only.
@@ -59,27 +59,27 @@ def chosen(text: str, folder: Path) -> RecordingSummary:
     if text == f"@{LAST}":
         for newest in summaries(paths):
             return newest
-    found = matching(text, paths)
-    if not found:
+    matches = matching(text, paths)
+    if not matches:
         raise NoSuchRecordingError(_none(text, folder))
-    if len(found) > 1:
-        listed = "; ".join(described(s) for s in found[:_MAX_LISTED])
-        rest = f"; and {len(found) - _MAX_LISTED} older ones" if len(found) > _MAX_LISTED else ""
+    if len(matches) > 1:
+        listed = "; ".join(describe(s) for s in matches[:_MAX_LISTED])
+        end = f"; and {len(matches) - _MAX_LISTED} older ones" if len(matches) > _MAX_LISTED else ""
         raise NoSuchRecordingError(
-            f"{text} may be any of {len(found)} recordings, newest first: "
-            f"{listed}{rest}; use "
+            f"{text} may be any of {len(matches)} recordings, newest first: "
+            f"{listed}{end}; use "
             "one of these, and give the next recording its own --name"
         )
-    return found[0]
+    return matches[0]
 
 
-def preferred(found: Sequence[RecordingSummary]) -> Sequence[RecordingSummary]:
+def pick_complete(recordings: Sequence[RecordingSummary]) -> Sequence[RecordingSummary]:
     """Return the complete recordings of a name; if no recording is complete, return all.
 
     A run that ended early is usually repeated with the same command, and thus has the same name.
     """
-    complete = [s for s in found if s.is_complete]
-    return complete or found
+    complete = [s for s in recordings if s.is_complete]
+    return complete or recordings
 
 
 def matching(text: str, paths: Sequence[Path]) -> Sequence[RecordingSummary]:
@@ -87,34 +87,34 @@ def matching(text: str, paths: Sequence[Path]) -> Sequence[RecordingSummary]:
     validation = text.endswith(VALIDATION)
     name = text.removeprefix("@").removesuffix(VALIDATION)
     possible = [path for path in paths if may_answer_to(path, name, validation=validation)]
-    return preferred([s for s in summaries(possible) if name in s.names(validation=validation)])
+    return pick_complete([s for s in summaries(possible) if name in s.names(validation=validation)])
 
 
 Answering = Callable[[str], Sequence[RecordingSummary]]
 """Function of `@NAME` or `@NAME/validation` that returns the recordings that the name may mean."""
 
 
-def answering_among(known: Iterable[RecordingSummary]) -> Answering:
+def answering_among(index: Iterable[RecordingSummary]) -> Answering:
     """Return a function that looks up a name in an index and returns the possible recordings."""
     by_name: dict[str, list[RecordingSummary]] = {}
-    for summary in known:
+    for summary in index:
         for validation, behind in ((False, ""), (True, VALIDATION)):
             for name in summary.names(validation=validation):
                 by_name.setdefault(f"@{name}{behind}", []).append(summary)
-    meant = {name: preferred(found) for name, found in by_name.items()}
+    meant = {name: pick_complete(namesakes) for name, namesakes in by_name.items()}
     return lambda name: meant.get(name, [])
 
 
 def short_name(summary: RecordingSummary, answering: Answering) -> str:
     """Return the shortest unambiguous name of a recording: `@NAME`, its id or its path."""
     names = [f"@{summary.run_id}", f"@{Path(summary.file).stem}"]
-    if summary.is_validation and (of := summary.name or summary.validation_of):
-        names.insert(0, f"@{of}{VALIDATION}")
+    if summary.is_validation and (validated := summary.name or summary.validation_of):
+        names.insert(0, f"@{validated}{VALIDATION}")
     elif summary.name:
         names.insert(0, f"@{summary.name}")
     for name in names:
-        found = answering(name)
-        if len(found) == 1 and found[0].path == summary.path:
+        matches = answering(name)
+        if len(matches) == 1 and matches[0].path == summary.path:
             return name
     return str(summary.path)
 
@@ -131,7 +131,7 @@ def name_of(path: Path) -> str:
     return ""
 
 
-def described(summary: RecordingSummary) -> str:
+def describe(summary: RecordingSummary) -> str:
     """Return id, kind, name, length and start of a recording as text."""
     name = f" {summary.name}" if summary.name else ""
     return f"@{summary.run_id}, {summary.kind}{name}{contents(summary).removeprefix(summary.kind)}"
@@ -139,9 +139,9 @@ def described(summary: RecordingSummary) -> str:
 
 def contents(summary: RecordingSummary) -> str:
     """Return kind, length and start of a recording as text."""
-    what = f"{summary.kind}{' (validation)' if summary.is_validation else ''}"
+    kind = f"{summary.kind}{' (validation)' if summary.is_validation else ''}"
     when = summary.started[:19].replace("T", " ")
-    return f"{what}, {summary.seconds:g} s, {when}"
+    return f"{kind}, {summary.seconds:g} s, {when}"
 
 
 def _none(text: str, folder: Path) -> str:

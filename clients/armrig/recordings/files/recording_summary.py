@@ -19,8 +19,8 @@ from armrig_core.recording_file.file_records import (
     RECORD_HEAD,
     RECORD_LIMIT,
     CutOffError,
+    FileRecord,
     Place,
-    Record,
 )
 from armrig_core.recording_file.manifest import (
     OUTCOME,
@@ -183,19 +183,19 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
         recording, or an empty set if this recording is not a validation recording.
         """
         if not validation:
-            own = {self.name} if self.name and not self.is_validation else set()
-            return own | {self.run_id, self.experiment, Path(self.file).stem}
+            own_names = {self.name} if self.name and not self.is_validation else set()
+            return own_names | {self.run_id, self.experiment, Path(self.file).stem}
         if not self.is_validation:
             return set()
-        of = {self.validation_of} if self.validation_of else set()
-        return of | ({self.name, f"{self.kind}-{self.name}"} if self.name else {self.kind})
+        run_ids = {self.validation_of} if self.validation_of else set()
+        return run_ids | ({self.name, f"{self.kind}-{self.name}"} if self.name else {self.kind})
 
 
 @lru_cache(maxsize=1000)
 def _parts(experiment: str) -> tuple[str, bool, str]:
     """Return the kind of an experiment, True for a validation, and the name of the experiment."""
-    found = _EXPERIMENT.fullmatch(experiment)
-    return (found[1], bool(found[2]), found[3] or "") if found else (experiment, False, "")
+    match = _EXPERIMENT.fullmatch(experiment)
+    return (match[1], bool(match[2]), match[3] or "") if match else (experiment, False, "")
 
 
 def summary_of(path: Path) -> RecordingSummary:
@@ -258,7 +258,7 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
     )
 
 
-def shown_path(path: Path) -> str:
+def path_text(path: Path) -> str:
     """Return a path as text; bytes that are invalid in this system's encoding are escaped."""
     return str(path).encode("utf-8", "backslashreplace").decode()
 
@@ -282,44 +282,46 @@ def read_metadata(path: Path) -> dict[str, dict[str, str]]:
 
 
 def _records(stream: IO[bytes], size: int) -> dict[str, dict[str, str]]:
-    found: dict[str, dict[str, str]] = {}
+    metadata: dict[str, dict[str, str]] = {}
     entries = (body for kind, body in index_records(stream, size) if kind == Opcode.METADATA_INDEX)
     for index in map(MetadataIndex.read, map(data_stream, entries)):
         # Only the first record of each name is read, as in a read of the whole file. An index of a
         # hundred thousand entries must not cause a hundred thousand reads.
-        if index.name in (RUN, OUTCOME) and index.name not in found:
+        if index.name in (RUN, OUTCOME) and index.name not in metadata:
             opcode, body = _record(stream, index.offset)
             if opcode != Opcode.METADATA:
                 raise DamageError("its index points to a record other than metadata")
-            found[index.name] = Metadata.read(data_stream(body)).metadata
-    return found
+            metadata[index.name] = Metadata.read(data_stream(body)).metadata
+    return metadata
 
 
-def indexed_records(stream: IO[bytes], size: int, left: tuple[str, ...]) -> Iterator[Record | None]:
+def read_by_index(
+    stream: IO[bytes], size: int, left: tuple[str, ...]
+) -> Iterator[FileRecord | None]:
     """Yield the schemas and channels of a file's index, and the records that the index names.
 
     The index contains the length of each record, so that a damaged head of a record costs nothing.
     The content of the attachments `left` is not read. None means that a record is too long or
     overlaps with the previous record. Raises the exceptions of `index_records`.
     """
-    found = []
+    places = []
     left_names = tuple(len(name).to_bytes(4, "little") + name.encode() for name in left)
     for opcode, entry in index_records(stream, size):
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            yield Record(opcode, entry, Place(0, 0))
+            yield FileRecord(opcode, entry, Place(0, 0))
         elif opcode in _INDEXED:
             kind, place_at = _INDEXED[opcode]
             is_left = kind == Opcode.ATTACHMENT and entry.startswith(left_names, _NAME_AT)
-            found.append((*_PLACE.unpack_from(entry, place_at), kind, is_left))
+            places.append((*_PLACE.unpack_from(entry, place_at), kind, is_left))
     end = len(MAGIC)
-    for begin, length, opcode, is_left in sorted(found):
+    for begin, length, opcode, is_left in sorted(places):
         place = Place(begin + RECORD_HEAD.size, length - RECORD_HEAD.size)
         # No byte is read twice: a forged index could name the same record again and again.
         is_short = is_left or place.length <= RECORD_LIMIT
         if end <= begin and 0 <= place.length <= size - place.at and is_short:
             end = begin + length
             stream.seek(place.at)
-            yield Record(opcode, b"" if is_left else stream.read(place.length), place)
+            yield FileRecord(opcode, b"" if is_left else stream.read(place.length), place)
         else:
             yield None
 

@@ -14,12 +14,12 @@ from armrig_core.recording_file.manifest import INPUT, RUN, Manifest, descriptio
 from armrig_core.rig.volts import codes_of
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions import trace
-from armrig_daemon.decisions.state import Action, Emit, Publish, Send, State
+from armrig_daemon.decisions.state import Action, DecisionState, Emit, Publish, Send
 from armrig_daemon.pipe import Log, RunEnded
 from armrig_protocol.frame import Spoilt, Unknown, decode
 
 from armrig.numerics.quantities import plural
-from armrig.recordings.files.container import Content, read, streamed
+from armrig.recordings.files.container import Content, read, stream_messages
 from armrig.recordings.files.control_run import law_of
 from armrig.recordings.files.input_attachment import read_input
 from armrig.recordings.files.loading import check_attachments, files_of, run_content
@@ -92,7 +92,7 @@ def replay(path: Path) -> Replay:
             why = f"{content.damage}; nothing before the damage can be replayed"
         raise FileError(f"{path}: nothing to replay: {why}")
     try:
-        return _replayed(paths, content, first)
+        return _replay(paths, content, first)
     except FileError:
         raise
     except Exception as err:  # the steps in the file may be anything, so any exception may occur
@@ -103,10 +103,10 @@ def replay(path: Path) -> Replay:
 
 
 def _chunks_of(paths: Sequence[Path]) -> Iterator[Any]:
-    return chain.from_iterable(streamed(path, "trace") for path in paths)
+    return chain.from_iterable(stream_messages(path, "trace") for path in paths)
 
 
-def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
+def _replay(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     manifest = Manifest.of(content.metadata[RUN])
     check_attachments(paths[0], content, manifest)
     if content.input is None:
@@ -114,7 +114,7 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     u = read_input(paths[0], content.input, manifest.samples)
     law = law_of(content.attachments)
     source = codes_of(u.tolist()) if manifest.source == INPUT else u.astype("<f8").tobytes()
-    state = trace.restored(begin.state, source, begin.version)
+    state = trace.decode_state(begin.state, source, begin.version)
     if law is not None:
         _check_law(state, law, description_of(content.attachments))
     # Samples read together with the answer to START precede the first step.
@@ -122,7 +122,7 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     theirs = content.samples[k > state.last_reported_k]
     ours = same = 0  # replayed samples, and equal samples before the first difference
     chunks, numbers = _chunks_of(paths), list[int]()
-    difference, frames, said = "", 0, []
+    difference, frames, messages = "", 0, []
     first = now_ns = None
     n = 0
     for n, step in enumerate(_steps(chunks, numbers), 1):
@@ -141,7 +141,7 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
                 row = np.array([tuple(sample)], SAMPLE_DTYPE)
                 same += same == ours and row.tobytes() == theirs[ours : ours + 1].tobytes()
                 ours += 1
-        said += list(_messages(actions, first))
+        messages += list(_messages(actions, first))
     numbers += [int(chunk.number) for chunk in chunks]
     holes = numbers[-1] + 1 - len(numbers)
     if not difference and holes:  # then samples are missing, too
@@ -159,18 +159,18 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
         seconds=0.0 if first is None or now_ns is None else (now_ns - first) / 1e9,
         difference=difference,
         until=content.damage,
-        said=tuple(said),
+        said=tuple(messages),
     )
 
 
-def _check_law(state: State, law: ControlLaw, rig: Description) -> None:
+def _check_law(state: DecisionState, law: ControlLaw, rig: Description) -> None:
     """Refuse core steps of another law than the attached one."""
     control = state.run.control if state.run else None
     if not control or control.law != law.program(rig):
         raise InputError("the steps belong to another law than the attached controller.json")
 
 
-def _steps(chunks: Iterator[Any], numbers: list[int]) -> Iterator[trace.Step]:
+def _steps(chunks: Iterator[Any], numbers: list[int]) -> Iterator[trace.DecisionStep]:
     """Yield the core's steps up to the first missing chunk; add the numbers of the chunks read."""
     for chunk in chunks:
         numbers.append(int(chunk.number))

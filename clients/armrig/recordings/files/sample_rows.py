@@ -53,8 +53,8 @@ class SampleRows:
         layout of the records is checked later, for many records together. Call `settle` before
         adding a run of another chunk.
         """
-        found = _RUN.match(chunk, at)
-        end = found.end() if found else at
+        match = _RUN.match(chunk, at)
+        end = match.end() if match else at
         self._views.append(chunk[at:end])
         return end - at
 
@@ -103,11 +103,11 @@ class SampleRows:
             return
         data = b"".join(self._pending)
         self._pending, self._pending_size = [], 0
-        came = len(data) // _ROW_SIZE
-        n = min(came, SAMPLES_LIMIT - self.size)
+        row_count = len(data) // _ROW_SIZE
+        n = min(row_count, SAMPLES_LIMIT - self.size)
         samples = self._room(n)
         _copy_fields(data, samples)
-        tags = np.frombuffer(data, np.uint8).reshape(came, -1)[:n, _TAG_PLACES]
+        tags = np.frombuffer(data, np.uint8).reshape(row_count, -1)[:n, _TAG_PLACES]
         for i in np.flatnonzero((tags != _TAGS).any(axis=1)).tolist():
             begin = i * _ROW_SIZE + len(_HEAD)
             try:
@@ -117,7 +117,7 @@ class SampleRows:
                 self._keep(samples[:i])
                 raise
         self._keep(samples)
-        if n < came:
+        if n < row_count:
             raise DamageError(f"more than {SAMPLES_LIMIT} samples")
 
     def _room(self, n: int) -> NDArray[np.void]:
@@ -154,7 +154,7 @@ class SampleRows:
 
 def _values(message: bytes) -> tuple[Any, ...]:
     """Return the fields of a sample of any layout; missing fields are `protobuf.ABSENT`."""
-    fields: tuple[Any, ...] = _field_values(protobuf.decoded(protobuf.SAMPLE, message))
+    fields: tuple[Any, ...] = _field_values(protobuf.decode_message(protobuf.SAMPLE, message))
     return fields
 
 
@@ -190,8 +190,8 @@ def _run() -> re.Pattern[bytes]:
     # Of about 35 samples between two messages of other streams, a pattern is four times as fast as
     # numpy. It never backtracks (`*+`), so that it needs no memory.
     head = re.escape(RECORD_HEAD.pack(Opcode.MESSAGE, ROW_LENGTH))
-    rest = b".{%d}" % (ROW_LENGTH - 2)  # after the channel
-    return re.compile(head + b"(..)" + rest + b"(?:" + head + rb"\1" + rest + b")*+", re.DOTALL)
+    tail = b".{%d}" % (ROW_LENGTH - 2)  # after the channel
+    return re.compile(head + b"(..)" + tail + b"(?:" + head + rb"\1" + tail + b")*+", re.DOTALL)
 
 
 _field_values = attrgetter(*rig_channels.SAMPLE_NAMES)

@@ -24,7 +24,7 @@ from armrig_protocol.messages import CODE_FULL_SCALE
 from armrig.data.columns import Vector
 from armrig.data.files.imported_file import ImportedData
 from armrig.data.finding import Finding, good, unusable, warning
-from armrig.numerics.quantities import NBSP, digits, listed, plural
+from armrig.numerics.quantities import NBSP, digits, join_names, plural
 from armrig.recordings.files.attachment_hashes import attachment_fault, attachment_names
 from armrig.recordings.files.control_run import (
     ControlRun,
@@ -32,10 +32,10 @@ from armrig.recordings.files.control_run import (
     control_run,
     own_control_run,
 )
-from armrig.recordings.files.imports import imported_data
+from armrig.recordings.files.imports import load_import
 from armrig.recordings.files.input_attachment import read_input
 from armrig.recordings.files.loading import beginning, load
-from armrig.recordings.files.recording_names import named_path
+from armrig.recordings.files.recording_names import path_of_name
 from armrig.recordings.files.recording_summary import REMOTE
 from armrig.recordings.jitter import sampling_statistics
 from armrig.recordings.recording import Recording
@@ -83,12 +83,12 @@ def verify(path: str | Path) -> Verification:
 
     The path is a path as for `load`. Raises the errors of `load`.
     """
-    file = named_path(path)
-    data = imported_data(file)
-    return verify_recording(load(path)) if data is None else _verified_import(file, data)
+    file = path_of_name(path)
+    data = load_import(file)
+    return verify_recording(load(path)) if data is None else _verify_import(file, data)
 
 
-def _verified_import(file: Path, data: ImportedData) -> Verification:
+def _verify_import(file: Path, data: ImportedData) -> Verification:
     """Return the result for imported data, whose reading has checked their hash."""
     rows, sha256 = plural(len(data.at), "row"), hashlib.sha256(file.read_bytes()).hexdigest()
     text = f"complete, {rows} as imported, by their hash {data.sha256[:12]}"
@@ -99,8 +99,8 @@ def _verified_import(file: Path, data: ImportedData) -> Verification:
 
 def verify_recording(recording: Recording) -> Verification:
     """Check a loaded recording, as `verify` does."""
-    if (data := imported_data(recording.path)) is not None:
-        return _verified_import(recording.path, data)
+    if (data := load_import(recording.path)) is not None:
+        return _verify_import(recording.path, data)
     checks = (
         check_file(recording),
         check_samples(recording),
@@ -127,14 +127,14 @@ def check_file(r: Recording) -> Finding:
         return unusable(
             "file", "its last part is missing: the previous part says that the run is continued"
         )
-    came, missing = r.samples.size, r.missing
-    if r.manifest.part == 0 and (r.outcome.samples, r.outcome.missing) != (came, missing):
+    count, missing = r.samples.size, r.missing
+    if r.manifest.part == 0 and (r.outcome.samples, r.outcome.missing) != (count, missing):
         text = (
             f"it reports {plural(r.outcome.samples, 'sample')} and "
             f"{plural(r.outcome.missing, 'missing sample')}, "
         )
         text += "but contains "
-        return unusable("file", f"{text}{came} and {missing}")
+        return unusable("file", f"{text}{count} and {missing}")
     return good("file", f"complete, all checksums correct; outcome of the run: {r.outcome.outcome}")
 
 
@@ -171,11 +171,11 @@ def check_envelope(r: Recording) -> Finding:
     """Check that no requested, applied or held voltage was outside 0 to 5 V."""
     held = np.array([gap.u_held_v for gap in r.gaps], np.float64)
     # A remote recorder does not know the voltage of a gap whose report it missed.
-    known = ~np.isnan(held) if r.manifest.experiment == REMOTE else np.ones(held.size, np.bool_)
+    is_known = ~np.isnan(held) if r.manifest.experiment == REMOTE else np.ones(held.size, np.bool_)
     volts = {
         "requested": r.samples["u_cmd_v"],
         "applied": r.samples["u_applied_v"],
-        "held in a gap": held[known],
+        "held in a gap": held[is_known],
     }
     for name, u in volts.items():
         outside = ~((u >= 0.0) & (u <= U_MAX_V))  # NaN is outside, too
@@ -189,9 +189,9 @@ def check_envelope(r: Recording) -> Finding:
     if not u.size:
         return warning("envelope", "no sample")
     seen = f"{u.min():.4g} to {u.max():.4g} V applied"
-    unknown = int(np.count_nonzero(~known))
-    what = f"; unknown in {plural(unknown, 'gap')} that the recorder missed" if unknown else ""
-    return good("envelope", f"{seen}, inside 0 to {U_MAX_V:g} V{what}")
+    unknown = int(np.count_nonzero(~is_known))
+    remark = f"; unknown in {plural(unknown, 'gap')} that the recorder missed" if unknown else ""
+    return good("envelope", f"{seen}, inside 0 to {U_MAX_V:g} V{remark}")
 
 
 def check_input(r: Recording, u: Vector) -> Finding:
@@ -324,14 +324,14 @@ def _check_configuration(r: Recording) -> Finding:
     if text is None:
         return warning("configuration", "no configuration is attached")
     try:
-        limits = msgspec.json.decode(text, type=_Config).limits
+        limits = msgspec.json.decode(text, type=_RecordedConfig).limits
     except msgspec.DecodeError as err:
         return unusable("configuration", f"it cannot be read ({err})")
     u = r.samples["u_cmd_v"]
     low, high = limits.u_min_v - 0.5 * _CODE_V, limits.u_max_v + 0.5 * _CODE_V
     if u.size and not (low <= u.min() and u.max() <= high):
-        found = f"{u.min():.4g} to {u.max():.4g} V were requested, outside the limits "
-        return unusable("configuration", f"{found}{limits.u_min_v:g} to {limits.u_max_v:g} V")
+        fault = f"{u.min():.4g} to {u.max():.4g} V were requested, outside the limits "
+        return unusable("configuration", f"{fault}{limits.u_min_v:g} to {limits.u_max_v:g} V")
     return good("configuration", "the requested voltages are in its limits")
 
 
@@ -340,41 +340,41 @@ def _check_attachments(r: Recording) -> Finding:
     _, content = beginning(r.path)
     if fault := attachment_fault(content, r.manifest):  # of a damaged file, which is loaded
         return unusable("attachments", fault)
-    hashes, found = r.manifest.attachment_hashes, attachment_names(content, r.manifest)
-    if missing := sorted({*hashes} - found):
-        text = f"missing, although the manifest contains the hash: {listed(missing)}"
+    hashes, names = r.manifest.attachment_hashes, attachment_names(content, r.manifest)
+    if missing := sorted({*hashes} - names):
+        text = f"missing, although the manifest contains the hash: {join_names(missing)}"
         if r.recovered is not None and r.recovered.damage:
             return warning("attachments", f"{text}; {r.recovered.damage}")
         return unusable("attachments", text)
-    if not found:
+    if not names:
         return warning("attachments", "nothing is attached")
     if r.unhashed:
         text = f"the manifest, by armrig {r.manifest.armrig}, contains no hash of "
-        return warning("attachments", f"{text}{listed(r.unhashed)}: an exchange is not found")
-    return good("attachments", f"each has the hash in the manifest: {listed(sorted(found))}")
+        return warning("attachments", f"{text}{join_names(r.unhashed)}: an exchange is not found")
+    return good("attachments", f"each has the hash in the manifest: {join_names(sorted(names))}")
 
 
-class _Limits(msgspec.Struct, frozen=True):
+class _RecordedLimits(msgspec.Struct, frozen=True):
     u_min_v: float = 0.0
     u_max_v: float = U_MAX_V
 
 
-class _Config(msgspec.Struct, frozen=True):
-    limits: _Limits = _Limits()
+class _RecordedConfig(msgspec.Struct, frozen=True):
+    limits: _RecordedLimits = _RecordedLimits()
 
 
-def _verdict(found: Verification) -> str:
-    failed = [check.about for check in found.checks if check.level == "unusable"]
+def _verdict(verification: Verification) -> str:
+    failed = [check.about for check in verification.checks if check.level == "unusable"]
     if failed:
         return f"failed: {', '.join(failed)}"
-    left = [check.about for check in found.checks if check.level == "warning"]
+    left = [check.about for check in verification.checks if check.level == "warning"]
     return "passed" + (f"; not checked: {', '.join(left)}" if left else "")
 
 
-def rows(found: Verification) -> Iterator[tuple[str, str]]:
+def rows(verification: Verification) -> Iterator[tuple[str, str]]:
     """Yield the rows of a table: the subject of a check and its result as text."""
-    yield "verdict", _verdict(found)
-    yield "recording", str(found.path)
-    yield "sha256", found.sha256
-    for check in found.checks:
+    yield "verdict", _verdict(verification)
+    yield "recording", str(verification.path)
+    yield "sha256", verification.sha256
+    for check in verification.checks:
         yield check.about, f"{RESULTS[check.level]}: {check.text}"

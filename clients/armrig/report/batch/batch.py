@@ -20,11 +20,11 @@ from typing import Any, TypeVar
 
 import msgspec
 from armrig_core.errors import ArmrigError, InputError, OperationError
-from armrig_core.process.imports import imported
+from armrig_core.process.imports import load_extra
 from armrig_core.recording_file.opening import lock
 from threadpoolctl import threadpool_info
 
-from armrig.recordings.files.recording_summary import shown_path
+from armrig.recordings.files.recording_summary import path_text
 from armrig.report.batch.tasks import (
     Item,
     Kind,
@@ -94,7 +94,7 @@ def batch(
         The existing table belongs to another task; the disk is full; all workers are lost; pyarrow
         is not installed; or a file cannot be read or written.
     """
-    imported("pyarrow.parquet", "parquet")  # a missing package is reported before the work
+    load_extra("pyarrow.parquet", "parquet")  # a missing package is reported before the work
     items = items_in(folder, rigs=rigs, kinds=kinds)
     if not items:
         raise InputError(
@@ -111,8 +111,8 @@ def batch(
             }
         left, done_before = [item for item in items if item.name not in rows], len(rows)
         function = partial(_row_in, task, environment())
-        came = results(function, left, open_executor, at_once=at_once)
-        for item, row in came:
+        arrivals = results(function, left, open_executor, at_once=at_once)
+        for item, row in arrivals:
             if isinstance(row, Exception):
                 row = empty_row(task, item, problem=" ".join(str(row).split()))
             rows[item.name] = row
@@ -193,8 +193,8 @@ def environment() -> dict[str, str]:
 
 def difference(expected: dict[str, str]) -> str:
     """Return how this process differs from the `expected` environment, or "" if it is equal."""
-    own = environment()
-    others = [f"{k} {own.get(k)} instead of {v}" for k, v in expected.items() if own.get(k) != v]
+    env = environment()
+    others = [f"{k} {env.get(k)} instead of {v}" for k, v in expected.items() if env.get(k) != v]
     return f"has {' and '.join(others)}; give all machines the same" if others else ""
 
 
@@ -208,7 +208,7 @@ def header_of(
     return {
         "task": name_of(task),
         "options": msgspec.json.encode(options).decode(),
-        "folder": shown_path(folder.resolve()),
+        "folder": path_text(folder.resolve()),
         "rigs": " ".join(sorted(rigs)),
         "kinds": " ".join(sorted(kinds)),
     } | environment()
@@ -224,16 +224,16 @@ def read_rows(path: Path, header: dict[str, str]) -> list[Row]:
     """
     if not path.exists():
         return []
-    pyarrow, parquet = imported("pyarrow", "parquet"), imported("pyarrow.parquet", "parquet")
+    pyarrow, parquet = load_extra("pyarrow", "parquet"), load_extra("pyarrow.parquet", "parquet")
     try:
         with path.open("rb") as file:  # pyarrow accepts names in UTF-8 only
             table = parquet.read_table(file)
-        found = msgspec.json.decode((table.schema.metadata or {})[KEY], type=dict[str, str])
+        stored_header = msgspec.json.decode((table.schema.metadata or {})[KEY], type=dict[str, str])
     except (pyarrow.ArrowException, KeyError, msgspec.DecodeError, OSError) as err:
         raise OperationError(
             f"{path} exists and is not a table of armrig batch; give another -o"
         ) from err
-    if found != header:
+    if stored_header != header:
         raise OperationError(f"{path} {OTHER}")
     rows: list[Row] = table.to_pylist()
     return rows
@@ -247,17 +247,17 @@ def write_table(path: Path, task: Task, header: dict[str, str], rows: Iterable[R
     OperationError
         The disk is full, or somebody changed a stored row.
     """
-    pyarrow, parquet = imported("pyarrow", "parquet"), imported("pyarrow.parquet", "parquet")
+    pyarrow, parquet = load_extra("pyarrow", "parquet"), load_extra("pyarrow.parquet", "parquet")
     ordered = sorted(rows, key=lambda row: str(row["recording"]))
     schema = pyarrow.schema(
         [(name, _type(pyarrow, kind)) for name, kind in columns_of(task).items()],
         metadata={KEY: msgspec.json.encode(header)},
     )
-    made = path.with_name(f".{path.name}.{os.getpid()}")
+    new_file = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with made.open("wb") as file:
+        with new_file.open("wb") as file:
             parquet.write_table(pyarrow.Table.from_pylist(ordered, schema=schema), file)
-        made.replace(path)
+        new_file.replace(path)
     except OSError as err:
         raise OperationError(
             f"{path}: {err.strerror or err}; all results are kept: repeat the command to write "
@@ -269,7 +269,7 @@ def write_table(path: Path, task: Task, header: dict[str, str], rows: Iterable[R
             "again"
         ) from err
     finally:
-        made.unlink(missing_ok=True)
+        new_file.unlink(missing_ok=True)
 
 
 def _type(pyarrow: Any, kind: Kind) -> Any:
@@ -306,20 +306,20 @@ class Progress(AbstractContextManager["Progress"]):
             ) from err
         self._file.seek(0)
         content = self._file.read()
-        whole, _, torn = content.rpartition(b"\n")
-        first, *lines = whole.split(b"\n") if whole else [b""]
+        complete_lines, _, torn = content.rpartition(b"\n")
+        first, *lines = complete_lines.split(b"\n") if complete_lines else [b""]
         self.rows: list[Row] = []
         """Rows of an earlier start."""
         if anew or not first:
             self._file.truncate(0)
             self.add(header)
             return
-        if _decoded(first) != header:
+        if _decode_line(first) != header:
             self._file.close()
             raise OperationError(f"{self.path} {OTHER}")
         if torn:  # the process was killed within a line
             self._file.truncate(len(content) - len(torn))
-        self.rows = [row for line in lines if (row := _decoded(line)) is not None]
+        self.rows = [row for line in lines if (row := _decode_line(line)) is not None]
 
     def add(self, row: Row) -> None:
         """Store a row; a stored row is not lost if this process dies."""
@@ -359,7 +359,7 @@ def still_right(
     }
 
 
-def _decoded(line: bytes) -> dict[str, object] | None:
+def _decode_line(line: bytes) -> dict[str, object] | None:
     try:
         return msgspec.json.decode(line, type=dict[str, object])
     except (msgspec.DecodeError, UnicodeDecodeError):

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from armrig_core.errors import InputError, OperationError
-from armrig_core.process.imports import imported
+from armrig_core.process.imports import load_extra
 
 from armrig.report.batch.batch import difference, environment
 
@@ -36,7 +36,7 @@ def cluster(address: str, folder: Path) -> Callable[[], AbstractContextManager[E
 
 @contextmanager
 def _executor(address: str, folder: Path) -> Iterator[Executor]:
-    distributed = imported("distributed", "dask")
+    distributed = load_extra("distributed", "dask")
     logging.disable(logging.CRITICAL)  # distributed logs a traceback for each lost connection
     try:
         with warnings.catch_warnings(action="ignore"):
@@ -63,10 +63,10 @@ async def _ask(distributed: Any, address: str) -> None:
 
 def _problem(client: Any, folder: str) -> str:
     """Return why the cluster is unsuitable, or ""."""
-    given = (fault, environment(), folder)
+    arguments = (fault, environment(), folder)
     try:
-        faults = {"scheduler": client.run_on_scheduler(*given)}
-        faults |= {f"worker {at}": text for at, text in client.run(*given).items()}
+        faults = {"scheduler": client.run_on_scheduler(*arguments)}
+        faults |= {f"worker {at}": text for at, text in client.run(*arguments).items()}
     except Exception as err:
         return f"the scheduler or a worker lacks this version of armrig ({err}); install it there"
     if len(faults) == 1:

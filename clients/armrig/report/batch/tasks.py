@@ -19,9 +19,9 @@ from armrig.data.dataset import Dataset
 from armrig.data.treatment import detrend
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
-from armrig.recordings.files.catalogue import Catalogue, catalogue, found_files
+from armrig.recordings.files.catalogue import Catalogue, catalogue, recording_files
 from armrig.recordings.files.loading import load
-from armrig.recordings.files.recording_summary import shown_path
+from armrig.recordings.files.recording_summary import path_text
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import doubts, doubts_of_estimation, doubts_of_pair
 
@@ -90,20 +90,20 @@ def items_in(
     An unreadable file is included only if `rigs` and `kinds` are both empty. If the folder cannot
     be read, the function raises an OSError.
     """
-    known = catalogue(folder)
+    folder_catalogue = catalogue(folder)
     chosen = {
         s.file
-        for s in known.recordings
+        for s in folder_catalogue.recordings
         if s.rig in (rigs or (s.rig,)) and s.kind in (kinds or (s.kind,))
     }
-    validations = _validations(known)
+    validations = _validations(folder_catalogue)
     runs: dict[str, list[tuple[str, int, int]]] = {}
-    for name, state in found_files(folder):
+    for name, state in recording_files(folder):
         if name in chosen or not (rigs or kinds):
             runs.setdefault(_run(name), []).append((name, state.st_size, state.st_mtime_ns))
     return [
         Item(
-            name=shown_path(Path(run)),
+            name=path_text(Path(run)),
             path=str(folder / run),
             bytes=sum(size for _, size, _ in files),
             modified_ns=min(max(modified for _, _, modified in files), _LATEST_NS),
@@ -117,12 +117,12 @@ def _run(name: str) -> str:
     return name.rpartition(PART)[0] + ".mcap" if part_number(Path(name)) else name
 
 
-def _validations(known: Catalogue) -> dict[str, str]:
+def _validations(folder_catalogue: Catalogue) -> dict[str, str]:
     """Return the paths of validation recordings, by the names of the files that they validate."""
-    of_run = {s.run_id: s.file for s in known.recordings if not s.is_validation}
+    of_run = {s.run_id: s.file for s in folder_catalogue.recordings if not s.is_validation}
     return {
         of_run[s.validation_of]: str(s.path.with_name(_run(s.file)))
-        for s in reversed(known.recordings)  # the newest validation of a run is used
+        for s in reversed(folder_catalogue.recordings)  # the newest validation of a run is used
         if s.is_validation and s.validation_of in of_run
     }
 
@@ -191,8 +191,8 @@ def row_of(task: Task, item: Item) -> Row:
             row["doubts"] = [f.text for f in doubts(recording)]
             row |= _result(task, recording, item)
     except OSError as err:
-        said = ": ".join(str(part) for part in (err.filename, err.strerror) if part)
-        row["problem"] = said or str(err)
+        reason = ": ".join(str(part) for part in (err.filename, err.strerror) if part)
+        row["problem"] = reason or str(err)
     except ArmrigError as err:
         row["problem"] = str(err) or type(err).__name__
     except Exception as err:
@@ -205,34 +205,34 @@ def row_of(task: Task, item: Item) -> Row:
 
 def empty_row(task: Task, item: Item, problem: str = "") -> Row:
     """Return the row of an item without a result."""
-    known = {"recording": item.name, "bytes": item.bytes, "modified_ns": item.modified_ns}
-    return dict.fromkeys(columns_of(task)) | known | {"problem": problem, "doubts": []}
+    file_facts = {"recording": item.name, "bytes": item.bytes, "modified_ns": item.modified_ns}
+    return dict.fromkeys(columns_of(task)) | file_facts | {"problem": problem, "doubts": []}
 
 
 def _result(task: Task, recording: Recording, item: Item) -> Row:
     match task:
         case Identify():
-            return _identified(task, *_data(task, recording, task.signal))
+            return _identification_row(task, *_data(task, recording, task.signal))
         case Validate():
             fit = _model(task.model)
             # `compare` refuses the first channel if the recording has no output of the model.
             output = fit.output if fit.output in recording.outputs else None
-            return _validated(fit, *_data(task, recording, output))
+            return _validation_row(fit, *_data(task, recording, output))
         case Verify():
-            return _verified(recording)
+            return _verification_row(recording)
         case Report():
-            return _reported(task, recording, item)
+            return _report_row(task, recording, item)
 
 
 def _data(
     task: Identify | Validate, recording: Recording, output: str | None
 ) -> tuple[Dataset, list[str]]:
     """Return the data of an output, or of the first channel, and the doubts about the data."""
-    data, found = recording.dataset(output), (*doubts(recording), *doubts_of_estimation(recording))
-    return detrend(data) if task.detrend else data, [f.text for f in found]
+    data, issues = recording.dataset(output), (*doubts(recording), *doubts_of_estimation(recording))
+    return detrend(data) if task.detrend else data, [f.text for f in issues]
 
 
-def _identified(task: Identify, data: Dataset, doubted: list[str]) -> Row:
+def _identification_row(task: Identify, data: Dataset, doubted: list[str]) -> Row:
     from armrig.models.model_writing import model_text
 
     task.check(data)
@@ -251,7 +251,7 @@ def _attributes(result: object, task: str) -> Row:
     return {name: getattr(result, name) for name in OF_THE_TASK[task] if hasattr(result, name)}
 
 
-def _validated(fit: Fit, data: Dataset, doubted: list[str]) -> Row:
+def _validation_row(fit: Fit, data: Dataset, doubted: list[str]) -> Row:
     from armrig.validation.comparison import compare
     from armrig.validation.residuals import residuals
 
@@ -266,17 +266,17 @@ def _validated(fit: Fit, data: Dataset, doubted: list[str]) -> Row:
     }
 
 
-def _verified(recording: Recording) -> Row:
+def _verification_row(recording: Recording) -> Row:
     from armrig.recordings.files.verification import RESULTS, verify_recording
 
-    found = verify_recording(recording)
-    row: Row = {"passed": found.passed}
-    for check in found.checks:
+    verification = verify_recording(recording)
+    row: Row = {"passed": verification.passed}
+    for check in verification.checks:
         row |= {f"{check.about}_result": RESULTS[check.level], f"{check.about}_found": check.text}
     return row
 
 
-def _reported(task: Report, recording: Recording, item: Item) -> Row:
+def _report_row(task: Report, recording: Recording, item: Item) -> Row:
     from armrig.report.document import report
     from armrig.report.study import Orders, study
 
@@ -285,14 +285,14 @@ def _reported(task: Report, recording: Recording, item: Item) -> Row:
     orders = Orders(na=task.na, nb=task.nb, nf=task.nf, nk=task.nk)
     done = study([recording, *validations], orders=orders)
     path = report(done, Path(task.folder, item.name).with_suffix(".pdf"))
-    found = [*doubts(recording), *(f for v in validations for f in doubts_of_pair(recording, v))]
+    findings = [*doubts(recording), *(f for v in validations for f in doubts_of_pair(recording, v))]
     return {
         "report": path.name,
         "report_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "validated_by": Path(item.validation).name,
         "best": done.best.name,
         "rms_error": done.best.comparison.rms_error,
-        "doubts": [f.text for f in found],
+        "doubts": [f.text for f in findings],
     }
 
 

@@ -49,10 +49,10 @@ class ByChannel(Generic[R]):
         if channel in self.refused:
             raise InputError(f"{_arrow(channel)}: {self.refused[channel]}")
         if channel not in self.results:
-            known = ", ".join(str(name) for name in (*self.results, *self.refused))
-            raise InputError(f"{channel!r}: there is no such channel; there are {known}")
-        found: R = self.results[channel]
-        return found
+            names = ", ".join(str(name) for name in (*self.results, *self.refused))
+            raise InputError(f"{channel!r}: there is no such channel; there are {names}")
+        result: R = self.results[channel]
+        return result
 
     def __iter__(self) -> Iterator[Name]:
         """Iterate over the channels with a result."""
@@ -64,13 +64,13 @@ class ByChannel(Generic[R]):
 
     def explain(self) -> str:
         """Return the explanation of each result."""
-        return self._joined({name: f"\n{one.explain()}" for name, one in self.results.items()})
+        return self._join({name: f"\n{result.explain()}" for name, result in self.results.items()})
 
     def __repr__(self) -> str:
         """Return the result of each channel."""
-        return self._joined({name: f" {result!r}" for name, result in self.results.items()})
+        return self._join({name: f" {result!r}" for name, result in self.results.items()})
 
-    def _joined(self, texts: Mapping[Name, str]) -> str:
+    def _join(self, texts: Mapping[Name, str]) -> str:
         refused = {name: f" {text}" for name, text in self.refused.items()}
         lines = [f"{_arrow(name)}:{text}" for name, text in {**texts, **refused}.items()]
         return "\n".join([*lines, *filter(None, [self.together])])
@@ -105,8 +105,8 @@ def each_channel(
                 for input in data.inputs:
                     try:
                         alone = data.dataset(output, input), dict[str, Any]()
-                        one, own = separated(data, output, input) if separated else alone
-                        results[output, input] = call(one, *args[1:], **options | own)
+                        part, extra = separated(data, output, input) if separated else alone
+                        results[output, input] = call(part, *args[1:], **options | extra)
                     except InputError as err:
                         refused[output, input] = str(err)
             if not results and len(reasons := {*refused.values()}) == 1:
@@ -130,9 +130,9 @@ def without_other_inputs(data: Signals, output: str, input: str) -> tuple[Datase
     The first lag of B_j is the lag at which input j acts first. A contains the integrator of an
     output that integrates, so that w does not integrate.
     """
-    own = data.dataset(output, input)
+    channel = data.dataset(output, input)
     if data.nu == 1:
-        return own, {}
+        return channel, {}
     j = data.inputs.index(input)
     y = data.y[:, data.output(output)]
     each = [(part.u, part.y[:, 0]) for part in data.channels([output]).experiments()]
@@ -143,7 +143,7 @@ def without_other_inputs(data: Signals, output: str, input: str) -> tuple[Datase
     B[j] = 0.0
     w = np.concatenate([arx_errors(A, B, *part) for part in each])
     # Not the output's own name, which can imply an integrator or a smooth onset.
-    alone = own.replaced(
+    alone = channel.replaced(
         step=None, y=np.nan_to_num(w), valid=np.isfinite(w), output=f"filtered {output}"
     )
     return alone, {"integrator": False}

@@ -132,22 +132,22 @@ def delay(
     require_moving_output(data)
     decided = integration(data, integrator)
     response, tests, zero = _tests(data, samples, integrates=decided.integrates)
-    first, shown = tests.first, tests.shown
+    first, onset = tests.first, tests.shown
     low, last, misfit = _onset(data, tests, progress, integrates=decided.integrates)
     step, largest_step = quantum(data), float(np.max(np.abs(np.diff(data.u)), initial=0.0))
-    t_q = _hidden_s(data, np.abs(np.cumsum(response.g[low:])) * largest_step, step)
+    t_q = _hiding_time_s(data, np.abs(np.cumsum(response.g[low:])) * largest_step, step)
     changes = int(np.count_nonzero(np.diff(data.u)))
-    low, remarks = _hidden_by_steps(low, last, changes, t_q, data.Ts)
+    low, remarks = _least_nk_by_steps(low, last, changes, t_q, data.Ts)
     either = zero is not None and zero.rig and bool(zero.remark)
     return Delay(
         nk=1 if either and first else max(low, min(1, last)),
         interval=(0 if either else low, last),
         may_be_feedback=either,
-        p_values={k: float(tests.p_without_one[k - first]) for k in range(first, shown + 1)},
-        before=tests.before(shown - 1) if shown > first else None,
+        p_values={k: float(tests.p_without_one[k - first]) for k in range(first, onset + 1)},
+        before=tests.before(onset - 1) if onset > first else None,
         misfit=misfit,
         arx_loss={
-            k: float(v) for k, v in enumerate(tests.loss[: shown - first + _LOSS_LAGS + 1], first)
+            k: float(v) for k, v in enumerate(tests.loss[: onset - first + _LOSS_LAGS + 1], first)
         },
         response=response,
         integrator=decided.integrates,
@@ -178,9 +178,9 @@ def _tests(
     while True:
         is_first = n == 0
         part = data if is_first else data[: _SAMPLES_PER_LAG * wanted]
-        longest = max(one.N for one in part.experiments())
+        longest = max(experiment.N for experiment in part.experiments())
         most = min(wanted + MOST_PAST, samples // 3, longest // 2)
-        determined = determined_lags(part, most)
+        determined = count_determined_lags(part, most)
         # The number of determined lags is divided between A and B in the ratio 20 to 50.
         share = 5 * determined // 7 if is_first else determined - MOST_PAST
         lags = min(wanted, samples // 10 if is_first else widest, share)
@@ -270,7 +270,7 @@ def _onset(
     return least, latest, misfit
 
 
-def _hidden_s(data: Dataset, rise: Vector, step: float) -> float | None:
+def _hiding_time_s(data: Dataset, rise: Vector, step: float) -> float | None:
     """Return the time in s for which the quantisation `step` hides the largest step response."""
     beyond = np.flatnonzero(rise >= step)
     at = int(beyond[0]) if beyond.size else rise.size - 1
@@ -281,7 +281,7 @@ def _hidden_s(data: Dataset, rise: Vector, step: float) -> float | None:
     return sqrt(2 * step / acceleration)
 
 
-def _hidden_by_steps(
+def _least_nk_by_steps(
     first: int, last: int, changes: int, t_q: float | None, Ts: float
 ) -> tuple[int, list[str]]:
     """Return the least nk that quantisation of slow changes does not rule out, and remarks."""
@@ -294,7 +294,7 @@ def _hidden_by_steps(
     ]
 
 
-def determined_lags(data: Dataset, most: int) -> int:
+def count_determined_lags(data: Dataset, most: int) -> int:
     """Return the number of lags of u, from lag 0 on, whose coefficients the data determine.
 
     The count, at most `most`, ends at the first lag k at which u(t - k) hardly differs from its
@@ -307,11 +307,11 @@ def determined_lags(data: Dataset, most: int) -> int:
         if most <= part.N
     )
     R = triangle((block for rows in windows for block in in_blocks(rows, _BLOCK)), most)
-    own = np.abs(np.diag(R)) > _MIN_OWN_SHARE * column_norms(R)
-    found = int(np.argmin(np.append(own, False)))
-    if found < min(_MIN_DETERMINED_LAGS, most):
+    is_determined = np.abs(np.diag(R)) > _MIN_OWN_SHARE * column_norms(R)
+    count = int(np.argmin(np.append(is_determined, False)))
+    if count < min(_MIN_DETERMINED_LAGS, most):
         raise InputError(
-            f"u determines {plural(found, 'lag')} only: the band of u is too narrow to find a "
+            f"u determines {plural(count, 'lag')} only: the band of u is too narrow to find a "
             "delay; record with a telegraph or a PRBS"
         )
-    return found
+    return count

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from armrig.data.dataset import OfDataset
 from armrig.estimation.nonparametric.impulse import ImpulseResponse
 from armrig.numerics.quantities import digits, p_relation, plural, times
-from armrig.plots.layout import drawn_by
+from armrig.plots.layout import plot_method
 from armrig.validation.feedback_and_delay.lag_tests import LEVEL, SURPRISING, Before
 
 
@@ -110,16 +110,16 @@ class Delay(OfDataset):
     def _tests(self) -> Iterator[str]:
         least = min(self.p_values)
         for k, p in list(self.p_values.items())[-2:]:
-            said = "u acts there" if p < LEVEL else "not shown to matter"
+            verdict = "u acts there" if p < LEVEL else "not shown to matter"
             which = f"lags {least} to {k}: their coefficients together"
             which = f"lag {k}: its coefficient" if k == least else which
-            yield f"{which}, p {p_relation(p)}: {said}"
+            yield f"{which}, p {p_relation(p)}: {verdict}"
         if b := self.before:
-            said = "ruled out" if b.p_value < LEVEL else "not ruled out"
+            verdict = "ruled out" if b.p_value < LEVEL else "not ruled out"
             yield (
                 f"lag {b.k} alone: its coefficient is {b.found:.1f}σ, and would be "
                 f"{b.predicted:.1f}σ or more if u acted there first, p {p_relation(b.p_value)}: "
-                f"{said}"
+                f"{verdict}"
             )
         if self.misfit:
             lags = ", ".join(map(str, self.misfit))
@@ -156,7 +156,7 @@ class Delay(OfDataset):
             "coefficient is larger."
         )
 
-    plot = drawn_by("plot_delay", "impulse response and losses")
+    plot = plot_method("plot_delay", "impulse response and losses")
 
     def __repr__(self) -> str:
         """Return the answer, a remedy if the answer is not unique, and the limits of the answer."""

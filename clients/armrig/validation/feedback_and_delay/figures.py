@@ -10,7 +10,7 @@ from armrig.estimation.figures import label_coefficients
 from armrig.models.spectral_estimate import gain_unit
 from armrig.numerics.quantities import NBSP, p_relation
 from armrig.numerics.whiteness import BAND_99_PERCENT
-from armrig.plots.captions import labelled, legend, sign
+from armrig.plots.captions import legend, sign, symbol_of
 from armrig.plots.layout import BLUE, GREY, VERMILION, axes, drawable, finish, panels, stems
 
 if TYPE_CHECKING:
@@ -40,11 +40,11 @@ def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
     if result.sims is None:
         ax.text(0.5, 0.5, drawable(result.verdict), transform=ax.transAxes, ha="center")
         return sign(ax, result.source)
-    shown = result.sims.lags <= _ABOUT
-    name = labelled(result.output)
-    band, label = BAND_99_PERCENT * result.sims.std[shown], _OF_ZERO.format("99 %")
-    coefficients = result.sims.coefficients[shown]
-    stems(ax, result.sims.lags[shown], coefficients, BLUE, band=band, label=label)
+    window = result.sims.lags <= _ABOUT
+    name = symbol_of(result.output)
+    band, label = BAND_99_PERCENT * result.sims.std[window], _OF_ZERO.format("99 %")
+    coefficients = result.sims.coefficients[window]
+    stems(ax, result.sims.lags[window], coefficients, BLUE, band=band, label=label)
     ax.set_ylabel(f"coefficient of $u$ in {name}\n[{gain_unit(result)}]")
     first = float(result.sims.lags[0]) - 0.5
     label = f"tested: the input after {name} was read"
@@ -68,9 +68,9 @@ def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
     ax, below = panels(ax, 0.5, sharex=False)
     last, response = result.nk + _BEYOND, result.response
     g, std = response.decaying
-    shown = (response.lags >= 0) & (response.lags <= last)
-    band, label = _BAND_99_9_PERCENT * std[shown], _OF_ZERO.format("99.9 %")
-    stems(ax, response.lags[shown], g[shown], BLUE, band=band, label=label)
+    window = (response.lags >= 0) & (response.lags <= last)
+    band, label = _BAND_99_9_PERCENT * std[window], _OF_ZERO.format("99.9 %")
+    stems(ax, response.lags[window], g[window], BLUE, band=band, label=label)
     label_coefficients(ax, response)
     for panel in (ax, below):
         panel.axvline(result.nk, color=GREY, lw=0.8, ls="--", label=result.nk_range)

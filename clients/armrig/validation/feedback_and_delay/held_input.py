@@ -70,7 +70,7 @@ def _p_value(target: Vector, base: Vector, extra: Vector) -> float:
     added = orthonormal(extra - first @ (first.T @ extra)).Q
     explained = float(np.sum((added.T @ left) ** 2))
     degrees = target.size - first.shape[1] - added.shape[1]
-    rest = float(left @ left) - explained
-    if degrees < 1 or not added.shape[1] or rest <= 1e-9 * float(target @ target):
+    sse = float(left @ left) - explained
+    if degrees < 1 or not added.shape[1] or sse <= 1e-9 * float(target @ target):
         return 1.0
-    return float(fdtrc(added.shape[1], degrees, explained / added.shape[1] / (rest / degrees)))
+    return float(fdtrc(added.shape[1], degrees, explained / added.shape[1] / (sse / degrees)))

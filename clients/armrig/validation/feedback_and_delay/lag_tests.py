@@ -14,7 +14,7 @@ from armrig.estimation.polynomial_structures import oe
 from armrig.models.fit import Fit
 from armrig.numerics.criteria import aic
 from armrig.numerics.least_squares import column_norms, triangle, upper_inverse
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.numerics.regressors import arx_rows, in_blocks
 from armrig.numerics.rounding import rounding_std
 
@@ -111,12 +111,12 @@ class LagTests:
         onset = self._smooth_onset(k)
         least = least if onset is None else min(least, abs(float(onset[0])))
         std = self.std[k - self.first]
-        found, predicted = abs(float(self.coefficient[k - self.first])) / std, least / std
+        size, predicted = abs(float(self.coefficient[k - self.first])) / std, least / std
         return Before(
             k=k,
-            found=float(found),
+            found=float(size),
             predicted=float(predicted),
-            p_value=float(ndtr(found - predicted)),
+            p_value=float(ndtr(size - predicted)),
         )
 
     def _smooth_onset(self, k: int) -> Vector | None:
@@ -146,7 +146,7 @@ class LagTests:
         if onset is None or onset.size == 1:  # `before` tests a single lag
             return 1.0
         lags = slice(k - self.first, self.shown - self.first)
-        mean = self.effect[lags, lags] @ filtered(self.A, np.ones(1), onset)
+        mean = self.effect[lags, lags] @ apply_filter(self.A, np.ones(1), onset)
         size = float(np.linalg.norm(mean))
         z = self.coefficient[lags] / self.std[lags]
         return float(ndtr(mean @ z / size - size)) if size > 0 else 1.0
@@ -169,7 +169,8 @@ def lag_tests(
 
     The model is ARX with a constant for each experiment. AIC chooses na <= 20 and the number of
     lags of u, which is at most the number of lags in `response`. Their sum is at most `determined`
-    (see `determined_lags`), because past outputs could replace further lags of u. An ARX model of
+    (see `count_determined_lags`), because past outputs could replace further lags of u. An ARX
+    model of
     high order approximates any linear system and any colour of the noise [1]_. Therefore the F test
     has the correct level without a separate model of the noise ::
 
@@ -186,12 +187,12 @@ def lag_tests(
     """
     samples = data.N - data.missing
     lags = range(first, response.lags.size)
-    whole = sum(block.shape[0] for block in _rows(data, 0, lags))
+    row_count = sum(block.shape[0] for block in _rows(data, 0, lags))
     for most in _ORDERS:
         na = max(min(most, samples // _ROWS_PER_ORDER, determined - len(lags)), 0)
         blocks = _rows(data, na, lags)
         N = sum(block.shape[0] for block in blocks)
-        if max(_MIN_WHOLE_SHARE * whole, 2 * (na + len(lags) + len(blocks))) <= N:
+        if max(_MIN_WHOLE_SHARE * row_count, 2 * (na + len(lags) + len(blocks))) <= N:
             return _in_arx(blocks, na, lags, rounding_std(data.y))
     return _in_response(response, first)
 
@@ -201,10 +202,10 @@ def _rows(data: Dataset, na: int, lags: range) -> list[Vector]:
     blocks = []
     for part in data.experiments():
         rows = arx_rows(part.u, part.y, na=na, lags=lags)
-        whole = rows.block[rows.usable]
-        if whole.shape[0]:
-            whole -= whole.mean(axis=0)
-            blocks.append(whole)
+        complete = rows.block[rows.usable]
+        if complete.shape[0]:
+            complete -= complete.mean(axis=0)
+            blocks.append(complete)
     return blocks
 
 
@@ -243,18 +244,18 @@ def _in_arx(blocks: list[Vector], most: int, lags: range, rounding: float) -> La
             N=N,
         )
 
-    found = tests(nb)
+    outcome = tests(nb)
     # The last lag of a model also represents later lags: u(t) is correlated with its past.
-    while _first(found.p_without_one) == nb - 1 < len(lags) - 1:
+    while _first(outcome.p_without_one) == nb - 1 < len(lags) - 1:
         nb = min(2 * nb, len(lags))
-        found = tests(nb)
-    return found
+        outcome = tests(nb)
+    return outcome
 
 
 def _first(p_values: Vector) -> int:
     """Return the index of the first p value below the level, or the number of p values."""
-    found = np.flatnonzero(p_values < LEVEL)
-    return int(found[0]) if found.size else p_values.size
+    significant = np.flatnonzero(p_values < LEVEL)
+    return int(significant[0]) if significant.size else p_values.size
 
 
 def _model(T: Vector, scale: Vector, na: int, left_out: int, first: int) -> tuple[Vector, Vector]:
@@ -262,7 +263,7 @@ def _model(T: Vector, scale: Vector, na: int, left_out: int, first: int) -> tupl
     d, k = T.shape[1] - 1 - left_out, first + left_out
     theta = np.linalg.solve(T[:d, :d], T[:d, -1]) * scale[-1] / scale[:d]
     A, B = np.append(1.0, theta[:na]), np.append(np.zeros(k), theta[na:][::-1])
-    return A, filtered(B, A, np.eye(1, k + _COEFFICIENTS_AFTER_FIRST)[0])
+    return A, apply_filter(B, A, np.eye(1, k + _COEFFICIENTS_AFTER_FIRST)[0])
 
 
 def _triangle_of(R: Vector, columns: list[int]) -> Vector:
@@ -278,9 +279,9 @@ def _orders(R: Vector, most: int, lags: int, N: int, least: float) -> tuple[int,
     values = np.empty((most + 1, lags))
     for na in range(most + 1):
         T = _triangle_of(R, [*range(na), *range(most, most + lags + 1)])
-        rest = np.cumsum(T[::-1, -1] ** 2)[::-1]
+        sse = np.cumsum(T[::-1, -1] ** 2)[::-1]
         d = na + np.arange(1, lags + 1)
-        values[na] = aic(np.maximum(rest[d], least) / N, d, N)
+        values[na] = aic(np.maximum(sse[d], least) / N, d, N)
     na, last = divmod(int(np.argmin(values)), lags)
     return na, last + 1
 
@@ -359,23 +360,23 @@ def smooth_onsets(
     .. [1] K. J. Åström, P. Hagander, J. Sternby, "Zeros of sampled systems", Automatica 20 (1984)
        31-38.
     """
-    averaged = _averaged(data)
+    averaged = _average_input(data)
 
-    def fitted(data: Dataset, nb: int, nk: int) -> Fit:
+    def fit_oe(data: Dataset, nb: int, nk: int) -> Fit:
         return oe(data, nb=nb, nf=_POLES, nk=nk, integrator=integrator, starts="few")
 
     @cache
     def loss(k: int) -> float:
         if progress and first <= k <= last:
             progress(last - k, last - first + 1, f"lag {k}")
-        return fitted(averaged, _POLES - 1, k).loss
+        return fit_oe(averaged, _POLES - 1, k).loss
 
     best = low = high = last
     # The misfit grows with the distance from the onset, so the earlier lags are not fitted.
     while low > first and loss(low) <= loss(best) * (1 + _HOPELESS / data.N):
         low -= 1
         best = min(best, low, key=loss)
-    free = fitted(data, _POLES, best)
+    free = fit_oe(data, _POLES, best)
     degrees = free.N - free.parameters
     least = min(free.loss, loss(best))
 
@@ -408,7 +409,7 @@ def possible(misfit: dict[int, float]) -> tuple[int, int]:
     return min(lags), max(lags)
 
 
-def _averaged(data: Dataset) -> Dataset:
+def _average_input(data: Dataset) -> Dataset:
     """Return the data with the input (u(t) + u(t - 1))/2, for the factor 1 + q^-1 of the model."""
     before = np.concatenate([data.u[:1], data.u[:-1]])
     starts = list(data.starts)

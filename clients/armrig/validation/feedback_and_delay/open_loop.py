@@ -12,7 +12,7 @@ from armrig.data.dataset import Dataset, OfDataset, labels
 from armrig.data.step import laws_of, laws_text
 from armrig.estimation.data_faults import require_moving_output
 from armrig.numerics.quantities import digits, p_relation, percent
-from armrig.plots.layout import drawn_by
+from armrig.plots.layout import plot_method
 from armrig.validation.feedback_and_delay.by_channel import each_channel
 from armrig.validation.feedback_and_delay.sims import CannotTellError, Sims, sims
 
@@ -86,7 +86,7 @@ class OpenLoop(OfDataset):
             f"{self.verdict}.",
             f"Question: does the input from t on explain {y}(t) beyond the past? In open loop it "
             f"does not, because u was chosen without {y}.",
-            self._found(s),
+            self._finding_line(s),
         ]
         if self.feedback:
             lines += self._so()
@@ -98,7 +98,7 @@ class OpenLoop(OfDataset):
             )
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 
-    def _found(self, s: Sims) -> str:
+    def _finding_line(self, s: Sims) -> str:
         if self.exact:
             return f"Finding: u(t) follows from {self.output}(t) exactly, in all samples."
         F = digits(s.F, 3) if s.F < _MAX_SHOWN_F else f"more than {_MAX_SHOWN_F:.0e}"
@@ -128,7 +128,7 @@ class OpenLoop(OfDataset):
             )
         return lines
 
-    plot = drawn_by("plot_open_loop", "the regression of y on u")
+    plot = plot_method("plot_open_loop", "the regression of y on u")
 
     def __repr__(self) -> str:
         """Return the answer in a line, the remedy if there is feedback, and the remarks."""
@@ -191,22 +191,22 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     """
     require_level(level)
     require_moving_output(data)
-    found: Sims | None = None
+    test: Sims | None = None
     remarks: tuple[str, ...] = ()
     exact, laws = _is_exact(data), laws_of(data.history)
     try:
-        found = sims(data)
+        test = sims(data)
     except InputError as err:
         if not (laws or isinstance(err, CannotTellError)):
             raise
         remarks = (str(err),)
-    if found is not None and found.p_value < level and (exact or not laws):
-        remarks = _remarks(found, level, exact=exact)
+    if test is not None and test.p_value < level and (exact or not laws):
+        remarks = _remarks(test, level, exact=exact)
     return OpenLoop(
-        feedback=bool(laws) or (None if found is None else found.p_value < level),
-        p_value=float("nan") if found is None else found.p_value,
+        feedback=bool(laws) or (None if test is None else test.p_value < level),
+        p_value=float("nan") if test is None else test.p_value,
         level=level,
-        sims=found,
+        sims=test,
         exact=exact,
         few_levels=np.unique(data.u).size <= _MAX_FEW_LEVELS,
         remarks=remarks,
@@ -225,11 +225,11 @@ def _is_exact(data: Dataset) -> bool:
     return bool(np.linalg.norm(left) < _MAX_EXACT_REST * np.linalg.norm(u))
 
 
-def _remarks(found: Sims, level: float, *, exact: bool) -> tuple[str, ...]:
+def _remarks(test: Sims, level: float, *, exact: bool) -> tuple[str, ...]:
     """Return a remark if u is computed from y(t), or if only u(t) and no later u depends on it."""
     if exact:
         return (EXACT,)
-    if found.p_value < level <= found.p_later:
+    if test.p_value < level <= test.p_later:
         return (
             "u(t) depends on y(t), but later u do not: a rig whose y is read after u is applied "
             "(nk = 0) looks the same; otherwise take nk = 1",

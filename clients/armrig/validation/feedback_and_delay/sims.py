@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.data.dataset import Dataset
 from armrig.numerics.least_squares import orthonormal, triangle
-from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.polynomial import Array, apply_filter
 from armrig.numerics.quantities import plural
 from armrig.numerics.rounding import rounding_std
 from armrig.numerics.stretches import stretches
@@ -156,7 +156,7 @@ def _lags(data: Dataset) -> int:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Piece:
+class _GaplessPiece:
     """Samples of one experiment without a long gap; missing y are interpolated."""
 
     u: Array
@@ -174,13 +174,13 @@ class _Piece:
             part = slice(begin, min(begin + _BLOCK, u.shape[0]))
             used = self.valid[self.p :][part]
             y_, u_, sums = past_y[part][used], u[part][used], self.sums[self.p :][part][used]
-            one = np.zeros((y_.shape[0], constants))
-            one[:, self.experiment] = 1.0
+            indicators = np.zeros((y_.shape[0], constants))
+            indicators[:, self.experiment] = 1.0
             past_u, future = u_[:, : self.p][:, ::-1], u_[:, self.p :]
-            yield np.hstack([one, y_[:, -2::-1], past_u, sums, future, y_[:, -1:]])
+            yield np.hstack([indicators, y_[:, -2::-1], past_u, sums, future, y_[:, -1:]])
 
 
-def _pieces(data: Dataset, p: int) -> Iterator[_Piece]:
+def _pieces(data: Dataset, p: int) -> Iterator[_GaplessPiece]:
     """Yield the samples between long gaps, with missing y interpolated."""
     for i, part in enumerate(data.experiments()):
         near = np.ones(part.N, dtype=bool)
@@ -193,21 +193,23 @@ def _pieces(data: Dataset, p: int) -> Iterator[_Piece]:
             if y.size < p + FUTURE:
                 continue
             y[~valid] = np.interp(np.flatnonzero(~valid), np.flatnonzero(valid), y[valid])
-            yield _Piece(u=u, sums=sums[s], y=y, valid=valid, experiment=i, p=p)
+            yield _GaplessPiece(u=u, sums=sums[s], y=y, valid=valid, experiment=i, p=p)
 
 
 def _sums(u: Array, p: int) -> Array:
     """Return three sums of the input more than p samples ago, w_1(t - p) … w_3(t - p), (N, 3)."""
     before = np.append(np.zeros(p + 1), u - u.mean())[: u.size]
-    return np.column_stack([filtered([1.0], [1.0, slow / p - 1.0], before) for slow in _FORGETTING])
+    return np.column_stack(
+        [apply_filter([1.0], [1.0, slow / p - 1.0], before) for slow in _FORGETTING]
+    )
 
 
 def _factor(data: Dataset, constants: int, p: int) -> tuple[Array, int]:
     """Return R of the QR factorisation of all rows, and the number of rows."""
     D = constants + 2 * p + len(_FORGETTING) + FUTURE + 1
     pieces = list(_pieces(data, p))
-    N = sum(int(one.valid[p : one.u.size - FUTURE + 1].sum()) for one in pieces)
-    return triangle((block for one in pieces for block in one.rows(constants)), D), N
+    N = sum(int(piece.valid[p : piece.u.size - FUTURE + 1].sum()) for piece in pieces)
+    return triangle((block for piece in pieces for block in piece.rows(constants)), D), N
 
 
 def _require_information(R: Array, constants: int, d: int, degrees: int) -> None:

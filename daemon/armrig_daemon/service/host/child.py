@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from concurrent.futures import Future
 
 import msgspec
-from armrig_core.process.signal_pipe import held_back
+from armrig_core.process.signal_pipe import block_signals
 
-from armrig_daemon.loop.process import Settings
+from armrig_daemon.loop.process import LoopSettings
 from armrig_daemon.pipe import Orders, Record, record_bytes, take_records
 
 EXIT_S = 1.0
@@ -102,7 +102,7 @@ class Starter(threading.Thread):
     def run(self) -> None:
         """Start the process; wait until it has ended."""
         try:
-            with held_back():
+            with block_signals():
                 process = subprocess.Popen(
                     self._program, pass_fds=self._fds, stderr=self._stderr_fd
                 )
@@ -130,7 +130,7 @@ class Starter(threading.Thread):
         self.join()
 
 
-def start(settings: Settings, stderr_fd: int) -> LoopChild:
+def start(settings: LoopSettings, stderr_fd: int) -> LoopChild:
     """Start the loop. The caller must not have opened a session, which the loop would inherit.
 
     `stderr_fd` is the loop's standard error. It must not be a terminal, for which a loop that fails

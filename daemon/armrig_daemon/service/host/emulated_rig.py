@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 from armrig_core.errors import OperationError
-from armrig_core.process.signal_pipe import held_back
+from armrig_core.process.signal_pipe import block_signals
 from armrig_core.rig.emulated import SOCKET_PREFIX
 
 from armrig_daemon.config import Config
@@ -21,7 +21,7 @@ _START_S = 30.0  # on a busy machine a program takes seconds to load
 
 
 @contextmanager
-def emulated(
+def emulator_process(
     config: Config, directory: Path, stderr_fd: int | None = None
 ) -> Iterator[tuple[Config, int]]:
     """Start an emulator on a socket; yield the configuration for its port, and a descriptor.
@@ -45,7 +45,7 @@ def emulated(
     stalls_out, stalls_in = os.pipe()
     os.set_blocking(stalls_in, False)
     try:
-        with held_back():
+        with block_signals():
             child = subprocess.Popen(
                 [*program, "--stalls-fd", str(stalls_in)], pass_fds=(stalls_in,), stderr=stderr_fd
             )

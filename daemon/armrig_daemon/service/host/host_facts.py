@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.commands.commands import Refused, refused
+from armrig_core.commands.commands import Refused, build_refusal
 
 
 class HostFacts(NamedTuple):
@@ -57,7 +57,7 @@ def check_directory(directory: Path, needed: int) -> Refused | None:
 
 
 def _no_room(text: str) -> Refused:
-    return refused(RefusalCode.NO_ROOM, text)
+    return build_refusal(RefusalCode.NO_ROOM, text)
 
 
 def _way_out(directory: Path) -> str:

@@ -25,12 +25,12 @@ from io import BufferedReader
 from typing import IO, NamedTuple
 
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.commands.commands import Refused, RunOptions, refused
+from armrig_core.commands.commands import Refused, RunOptions, build_refusal
 from armrig_core.process import realtime
 from armrig_core.rig.description import Description
 
 from armrig_daemon.config import Config
-from armrig_daemon.service.plan import Plan, plan_of
+from armrig_daemon.service.plan import RunPlan, plan_of
 
 CPU_S = 60
 """Longest processor time of a plan, in s."""
@@ -57,7 +57,7 @@ class Job(NamedTuple):
     """Name of the command, `run` or `control`."""
 
 
-Result = RunOptions | Plan | Refused
+Result = RunOptions | RunPlan | Refused
 """Options of a run, which are known first, its plan, or the reason why there is none."""
 
 
@@ -93,8 +93,8 @@ class Planner:
     def result(self, number: int) -> Result | None:
         """Return the options, then the plan with this number, or its refusal; None: not yet."""
         while not self._results.empty():
-            found, plan = self._results.get()
-            if found == number:
+            answer_number, plan = self._results.get()
+            if answer_number == number:
                 return plan
         return None
 
@@ -110,7 +110,7 @@ class Planner:
         """Kill processes that do not end or plan for too long; call it each second."""
         now_s = time.monotonic()
         with self._lock:
-            self._doomed = [of for of in self._doomed if of[1].poll() is None]
+            self._doomed = [doomed for doomed in self._doomed if doomed[1].poll() is None]
             late = [process for since_s, process in self._doomed if now_s > since_s + _END_S]
         for process in late:
             with suppress(ProcessLookupError):
@@ -128,7 +128,7 @@ class Planner:
             except Exception as err:  # such as too little memory for another process
                 _reap(self._doom())
                 reason = f"the run could not be planned: {err!r}"
-                self._hand_back(number, refused(RefusalCode.INTERNAL, reason))
+                self._hand_back(number, build_refusal(RefusalCode.INTERNAL, reason))
         _reap(self._doom())
         os.close(self._stderr)
 
@@ -140,13 +140,13 @@ class Planner:
             job, self._job = self._job, None
         self._hand_back(number, self._answer(process, job))
 
-    def _hand_back(self, number: int, made: Result) -> None:
+    def _hand_back(self, number: int, result: Result) -> None:
         with self._lock:
             is_wanted = number == self._wanted
-            if is_wanted and not isinstance(made, RunOptions):
+            if is_wanted and not isinstance(result, RunOptions):
                 self._wanted = 0
         if is_wanted:
-            self._results.put((number, made))
+            self._results.put((number, result))
             self._changed()
 
     def _started(self) -> subprocess.Popen[bytes]:
@@ -177,7 +177,7 @@ class Planner:
             process.terminate()
         return process
 
-    def _answer(self, process: subprocess.Popen[bytes], job: Job) -> Plan | Refused:
+    def _answer(self, process: subprocess.Popen[bytes], job: Job) -> RunPlan | Refused:
         assert process.stdin is not None and process.stdout is not None  # noqa: S101, PT018 - pipes
         until_s = time.monotonic() + WALL_S
         late = threading.Timer(WALL_S, self._doom)  # also if the process does not read
@@ -198,19 +198,19 @@ class Planner:
         if code == -signal.SIGXCPU:
             return _too_long(f"{CPU_S} s of processor time")
         text = f"the planning process ended with code {code}: send the run again"
-        return refused(RefusalCode.INTERNAL, text)
+        return build_refusal(RefusalCode.INTERNAL, text)
 
-    def _read_plan(self, fd: int, number: int) -> Plan | Refused:
+    def _read_plan(self, fd: int, number: int) -> RunPlan | Refused:
         """Read the answer; raise EOFError if the process has ended."""
         while True:
-            found_number, found = pickle.loads(_read(fd))
-            if found_number != number:
-                raise ValueError(f"the plan {found_number} came instead of {number}")
-            if not isinstance(found, RunOptions):
+            answer_number, result = pickle.loads(_read(fd))
+            if answer_number != number:
+                raise ValueError(f"the plan {answer_number} came instead of {number}")
+            if not isinstance(result, RunOptions):
                 break
-            self._hand_back(number, found)
+            self._hand_back(number, result)
         source, text = _read(fd), _read(fd)
-        return found._replace(source=source, text=text) if isinstance(found, Plan) else found
+        return result._replace(source=source, text=text) if isinstance(result, RunPlan) else result
 
 
 def _reap(process: subprocess.Popen[bytes] | None) -> int:
@@ -230,7 +230,7 @@ def _reap(process: subprocess.Popen[bytes] | None) -> int:
 
 
 def _too_long(limit: str) -> Refused:
-    return refused(
+    return build_refusal(
         RefusalCode.NOT_ALLOWED,
         f"the rehearsal took more than {limit}: play fewer samples, or make the model faster",
     )
@@ -290,10 +290,10 @@ def _main(parent: int) -> None:
             _write(answers, pickle.dumps((number, value)))
 
         payload = partial(_frame, requests)
-        made = plan_of(payload, Ts, config, description, start_rad, tell, command)
-        if isinstance(made, Plan):
-            source, text, made = made.source, made.text, made._replace(source=b"", text=b"")
-        tell(made)
+        result = plan_of(payload, Ts, config, description, start_rad, tell, command)
+        if isinstance(result, RunPlan):
+            source, text, result = result.source, result.text, result._replace(source=b"", text=b"")
+        tell(result)
         for part in (source, text):
             _write(answers, part)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)

@@ -13,7 +13,7 @@ from pathlib import Path
 from time import monotonic_ns
 
 from armrig_core.commands.codes import Ending, OutcomeCode, RefusalCode
-from armrig_core.commands.commands import Refused, refused
+from armrig_core.commands.commands import Refused, build_refusal
 from armrig_core.process.printable import plural
 from armrig_protocol.messages import Cause
 
@@ -36,7 +36,7 @@ class Pressure:
     def __init__(self, path: Path = CPU) -> None:
         """Start to count the waiting time now."""
         self._path = path
-        self._last = (monotonic_ns(), self._stalled_us())
+        self._last = (monotonic_ns(), self._stall_us())
 
     def read(self) -> tuple[float, int]:
         """Return the share of waiting time, in percent, and the number of runnable tasks.
@@ -44,14 +44,14 @@ class Pressure:
         The share is the part of the time since the last call during which at least one task waited
         for a processor. The values are NaN and -1 if this kernel does not report them.
         """
-        now_ns, stalled_us = monotonic_ns(), self._stalled_us()
+        now_ns, stalled_us = monotonic_ns(), self._stall_us()
         (then_ns, before_us), self._last = self._last, (now_ns, stalled_us)
         share = nan
         if stalled_us is not None and before_us is not None and now_ns > then_ns:
             share = 100 * (stalled_us - before_us) * 1000 / (now_ns - then_ns)
         return share, _runnable()
 
-    def _stalled_us(self) -> int | None:
+    def _stall_us(self) -> int | None:
         """Return the waiting time so far in µs: N in the line `some … total=N`; None if unknown."""
         with contextlib.suppress(OSError, ValueError, IndexError):
             some = self._path.read_text(encoding="ascii").splitlines()[0]
@@ -87,7 +87,7 @@ def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> Refused | No
     most_ms = min(watchdog_ms, MAX_LATENESS_MS)
     if late_ms <= most_ms:
         return None
-    return refused(
+    return build_refusal(
         RefusalCode.LATE,
         f"the host was up to {late_ms:.0f} ms late in the last second, at most {most_ms} ms are "
         f"allowed ({load}; see `armrig doctor`): try again",

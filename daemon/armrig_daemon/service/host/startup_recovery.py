@@ -21,10 +21,10 @@ from armrig_core.recording_file.unfinished import (
     NotOursError,
     RecoveryError,
     remove_copies,
-    unfinished,
+    unfinished_files,
 )
 
-from armrig_daemon.config import Recording
+from armrig_daemon.config import RecordingTable
 
 _RETENTION_PERIOD_S = 3600.0
 
@@ -37,7 +37,7 @@ class StartupRecovery:
         directory: Path,
         rig: str,
         changed: Callable[[], None],
-        config: Recording = Recording(),  # noqa: B008 - frozen
+        config: RecordingTable = RecordingTable(),  # noqa: B008 - frozen
     ) -> None:
         """Create the thread, but do not start it; it calls `changed` after each new log line."""
         self._directory = directory
@@ -102,7 +102,7 @@ class StartupRecovery:
             rig=self._rig,
             breath=self._breath,
         )
-        for path in unfinished(self._directory, self._rig):
+        for path in unfinished_files(self._directory, self._rig):
             try:
                 line = "info", sentence(recovery.recover(path))
             except NotOursError:

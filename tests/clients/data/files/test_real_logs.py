@@ -11,7 +11,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.step import DOUBT, codes_of
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig_core.errors import FileError
 from numpy.typing import NDArray
 
@@ -23,7 +23,7 @@ def plant(N: int) -> tuple[Vector, Vector]:
     """Return u and y of y = 0.2/(q - 0.9) u + 20 + e."""
     rng = np.random.default_rng(1)
     u = armrig.telegraph(N, 0.1, low=1, high=3, seed=rng)
-    return u, 20 + filtered([0, 0.2], [1, -0.9], u) + 0.02 * rng.standard_normal(N)
+    return u, 20 + apply_filter([0, 0.2], [1, -0.9], u) + 0.02 * rng.standard_normal(N)
 
 
 def log(
@@ -382,7 +382,7 @@ def test_values_that_are_read_less_often_than_written_are_named(
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_a_settled_level_of_y_is_not_a_rail(noise: float, tmp_path: Path) -> None:
     u = np.repeat([1.0, 3.0, 1.0, 3.0], 100)
-    x = filtered([0, 0.2], [1, -0.9], u)
+    x = apply_filter([0, 0.2], [1, -0.9], u)
     x += noise * np.random.default_rng(1).standard_normal(400)
 
     assert armrig.load_data(saved(tmp_path, u, x)).history == ()

@@ -410,11 +410,11 @@ def test_wide_and_doubtful_columns_are_split_and_decided_once(
     )
     read = text.read_text("\n".join(map(",".join, (names, values, values, values))))
     calls = Counter[str]()
-    for name in ("split", "proved_marks"):
+    for name in ("split", "sure_marks"):
         monkeypatch.setattr(text, name, counted(getattr(text, name), calls))
 
     assert [read.numbers(i)[-1] for i in range(4000)][:2] == [1.0, 1.001]
-    assert (calls["split"], calls["proved_marks"]) == (3, 4000)
+    assert (calls["split"], calls["sure_marks"]) == (3, 4000)
 
 
 @pytest.mark.parametrize("separator", [" ", ",", ";", "\t"])

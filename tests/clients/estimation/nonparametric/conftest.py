@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from numpy.typing import NDArray
 
 from tests.clients.handout_plant import sampled_arm
@@ -27,7 +27,7 @@ class Arm:
 
     def dataset(self, u: Vector, std: float = 0.0, seed: int = 1) -> Dataset:
         """Return the arm's response to u, with white noise on the angle."""
-        y = filtered(self.B, self.F, u)
+        y = apply_filter(self.B, self.F, u)
         y += std * np.random.default_rng([seed, 7]).standard_normal(u.size)
         return Dataset(
             u=u, y=y, Ts=self.Ts, output="theta_1", unit="rad", source="abcdef0123456789"
@@ -44,7 +44,7 @@ class Arm:
 
     def rate(self, n: int) -> Vector:
         """Return the impulse response (n,) of (theta_1(t) - theta_1(t-1))/Ts."""
-        return filtered(self.B, np.cumsum(self.F)[:-1], np.eye(1, n)[0]) / self.Ts
+        return apply_filter(self.B, np.cumsum(self.F)[:-1], np.eye(1, n)[0]) / self.Ts
 
     def response(self, omega: Vector) -> NDArray[np.complex128]:
         """Return G at omega in rad/s."""
@@ -77,7 +77,7 @@ class Second:
         return np.asarray((x + 0.5 * x**2) / (1 - 1.2 * x + 0.6 * x**2))
 
     def g(self, n: int) -> Vector:
-        return filtered([0, 1, 0.5], [1, -1.2, 0.6], np.eye(1, n)[0])
+        return apply_filter([0, 1, 0.5], [1, -1.2, 0.6], np.eye(1, n)[0])
 
     def dataset(
         self,
@@ -91,10 +91,10 @@ class Second:
     ) -> Dataset:
         """Return data with AR(1) input and AR(1) output noise."""
         u, v = (
-            filtered([1.0], [1.0, -pole], rng.standard_normal(N + 200))[200:]
+            apply_filter([1.0], [1.0, -pole], rng.standard_normal(N + 200))[200:]
             for pole in (u_pole, v_pole)
         )
-        y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + std * v
+        y = apply_filter([0, 1, 0.5], [1, -1.2, 0.6], u) + std * v
         return Dataset(u=u, y=y, Ts=1.0, valid=rng.random(N) >= missing)
 
 

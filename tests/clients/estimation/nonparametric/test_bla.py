@@ -9,8 +9,8 @@ import pytest
 from armrig import excitation
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.estimation.nonparametric.etfe import bla, etfe, excited
-from armrig.numerics.polynomial import filtered
+from armrig.estimation.nonparametric.etfe import bla, etfe, strong_lines
+from armrig.numerics.polynomial import apply_filter
 from numpy.typing import NDArray
 
 P = 128
@@ -33,7 +33,7 @@ def realisations(
     parts = []
     for _ in range(R):
         u = multisine(rng, periods)
-        y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u + cubic * u**3)
+        y = apply_filter([0, 1, 0.5], [1, -1.2, 0.6], u + cubic * u**3)
         parts.append(Dataset(u=u, y=y + std * rng.standard_normal(u.size), Ts=1.0))
     return parts
 
@@ -120,7 +120,7 @@ def test_rounding_of_the_pwm_excites_no_line() -> None:
     u = excitation.multisine(500, range(1, 126))
     applied = np.round(u / 5 * 1023) / 1023 * 5
 
-    assert np.flatnonzero(excited(np.fft.rfft(applied))).tolist() == list(range(126))
+    assert np.flatnonzero(strong_lines(np.fft.rfft(applied))).tolist() == list(range(126))
 
 
 def test_the_response_of_the_angle_is_estimated_by_its_rate(arm: Any) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation.nonparametric.correlation import Correlation, correlation
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 
 def test_a_coloured_input_is_whitened(second: Any) -> None:
@@ -36,7 +36,7 @@ def test_the_band_of_independent_signals_has_its_confidence_level() -> None:
     outside = []
     for seed in range(200):
         rng = np.random.default_rng(seed)
-        u, y = (filtered([1.0], [1.0, -0.8], rng.standard_normal(800)) for _ in range(2))
+        u, y = (apply_filter([1.0], [1.0, -0.8], rng.standard_normal(800)) for _ in range(2))
         found = correlation(Dataset(u=u, y=y, Ts=1.0), 20, integrator=False)
         outside.append(np.mean(np.abs(found.g) > found.band(0.99)))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation.nonparametric.etfe import etfe, period
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from numpy.typing import NDArray
 
 P = 200
@@ -24,7 +24,7 @@ def repeated(rng: np.random.Generator, periods: int = 5) -> NDArray[np.float64]:
 def noisy(seed: int, std: float, periods: int = 5) -> Dataset:
     rng = np.random.default_rng(seed)
     u = repeated(np.random.default_rng(0), periods)
-    y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + std * rng.standard_normal(u.size)
+    y = apply_filter([0, 1, 0.5], [1, -1.2, 0.6], u) + std * rng.standard_normal(u.size)
     return Dataset(u=u, y=y, Ts=1.0)
 
 

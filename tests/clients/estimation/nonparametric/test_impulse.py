@@ -14,7 +14,7 @@ from armrig.data.merging import merge
 from armrig.estimation.nonparametric import impulse
 from armrig.estimation.nonparametric.impulse import _warnings, impulse_response
 from armrig.estimation.nonparametric.kernels import Evidence, Kernel, factor
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.numerics.whiteness import LJUNG_BOX, Whiteness
 from numpy.typing import NDArray
 
@@ -30,7 +30,7 @@ def test_without_noise_plain_least_squares_gives_back_the_response() -> None:
     parts = []
     for level in (2.0, -1.0):
         u = rng.standard_normal(120)
-        y = filtered(g, [1.0], u) + level
+        y = apply_filter(g, [1.0], u) + level
         parts.append(Dataset(u=u, y=y, Ts=1.0, valid=rng.random(120) > 0.1))
 
     found = impulse_response(merge(parts), 5, None, integrator=False)
@@ -243,8 +243,8 @@ def test_the_memory_does_not_grow_with_the_data(kernel: Kernel | None) -> None:
     """A hundred lags of 100 000 samples need less memory than 30 arrays of that length."""
     rng = np.random.default_rng(9)
     u = rng.standard_normal(100_000)
-    v = filtered([1.0], [1.0, -0.7], rng.standard_normal(u.size))
-    data = Dataset(u=u, y=filtered([0, 1.0, 0.5], [1.0, -0.6], u) + v, Ts=1.0)
+    v = apply_filter([1.0], [1.0, -0.7], rng.standard_normal(u.size))
+    data = Dataset(u=u, y=apply_filter([0, 1.0, 0.5], [1.0, -0.6], u) + v, Ts=1.0)
 
     tracemalloc.start()
     impulse_response(data, 100, kernel=kernel, integrator=False)

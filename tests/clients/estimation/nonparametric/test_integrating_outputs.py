@@ -17,7 +17,7 @@ from armrig.estimation.nonparametric.sampling_time import sampling_time
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.estimation.nonparametric.step_analysis import step_analysis
 from armrig.excitation import multisine
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 REASON = "behaves as an integrating output"
 
@@ -67,7 +67,7 @@ def test_an_output_that_rests_after_a_step_settles() -> None:
     """Five time constants of 14.6 s are recorded, after a dead time of 10 s."""
     u = np.where(np.arange(100) < 9, 0.0, 2.0)
     pole = np.exp(-1 / 14.6)
-    y = filtered([*np.zeros(11), 0.985 * (1 - pole)], [1.0, -pole], u)
+    y = apply_filter([*np.zeros(11), 0.985 * (1 - pole)], [1.0, -pole], u)
     y += 0.01 * np.random.default_rng(5).standard_normal(100)
     data = Dataset(u=u, y=y, Ts=1.0)
 
@@ -85,7 +85,9 @@ def test_an_integrator_at_rest_for_one_input_is_not_settling(holds: tuple[int, .
     u = np.repeat([0.0, 1.0, 0.0], holds)
     noise = 0.01 * np.random.default_rng(1).standard_normal(u.size)
 
-    found = integration(Dataset(u=u, y=filtered([0.0, 0.1], [1.0, -1.0], u) + noise, Ts=1.0), None)
+    found = integration(
+        Dataset(u=u, y=apply_filter([0.0, 0.1], [1.0, -1.0], u) + noise, Ts=1.0), None
+    )
 
     assert found.integrates
 
@@ -95,7 +97,7 @@ def of_pole(pole: float, *, fast: float = 0.0, walk: float = 0.0, noise: float =
     rng = np.random.default_rng(3)
     u = np.cumprod(np.where(rng.random(2000) < (0.2 if fast else 0.02), -1.0, 1.0))
     B = [0.0, (0.002 if pole == 1 else 1 - pole) * (1 - fast)]
-    y = filtered(B, np.convolve([1.0, -pole], [1.0, -fast]), u)
+    y = apply_filter(B, np.convolve([1.0, -pole], [1.0, -fast]), u)
     y += noise * rng.standard_normal(2000) + np.cumsum(walk * rng.standard_normal(2000))
     return Dataset(u=u, y=y, Ts=0.1)
 
@@ -137,7 +139,7 @@ def test_an_unstable_rig_is_no_integrator_and_its_advice_names_able_structures()
     rng = np.random.default_rng(13)
     r = np.cumprod(np.where(rng.random(1000) < 0.03, -1.0, 1.0))
     e = 0.05 * rng.standard_normal(1000)
-    y = filtered([0.0, 0.3], [1.0, -0.75], r - e) + e  # pole 1.05 and u = 1.5 (r - y)
+    y = apply_filter([0.0, 0.3], [1.0, -0.75], r - e) + e  # pole 1.05 and u = 1.5 (r - y)
     u = 1.5 * (r - y)
 
     said = repr(armrig.advice(Dataset(u=u, y=y, Ts=0.1)))

@@ -12,17 +12,17 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.nonparametric import sampling_time as sampling_time_module
 from armrig.estimation.nonparametric.sampling_time import (
     DIFFERENCED,
+    _analyse_long_steps,
     _bandwidth,
     _dead_time,
     _doubts,
     _from_impulse,
     _reasons,
-    _settled_steps,
     nearest_125,
     sampling_time,
 )
 from armrig.excitation import step, telegraph
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 from armrig.numerics.quantities import times
 from numpy.typing import NDArray
 
@@ -33,7 +33,7 @@ from tests.sampling import sampled
 def first_order(tau: float, Ts: float, u: Any, std: float = 0.01) -> Dataset:
     """Return the answer of 1/(1 + tau s) with noise."""
     a = np.exp(-Ts / tau)
-    y = filtered([0.0, 1 - a], [1.0, -a], u)
+    y = apply_filter([0.0, 1 - a], [1.0, -a], u)
     return Dataset(u=u, y=y + std * np.random.default_rng(1).standard_normal(u.size), Ts=Ts)
 
 
@@ -196,7 +196,7 @@ def test_holds_are_steps_if_y_settles_in_each(
     found = SimpleNamespace(settling=settling)
     monkeypatch.setattr(sampling_time_module, "step_analysis", lambda *_, **__: found)
 
-    steps = _settled_steps(Dataset(u=u, y=u, Ts=0.1), integrates=False)
+    steps = _analyse_long_steps(Dataset(u=u, y=u, Ts=0.1), integrates=False)
 
     assert steps is (found if is_analysed else None)
 
@@ -212,8 +212,8 @@ NOTES: list[tuple[dict[str, Any], list[str]]] = [
     ({"bandwidth": 124.0}, []),
     ({"near": 0.06}, ["6 % of the power is near Nyquist: noise or aliasing; compare with a fa"]),
     ({"near": 0.05}, []),
-    ({"near": 0.4, "of": "y"}, ["40 % of the power is near Nyquist. White noise of y, d"]),
-    ({"near": 0.46, "of": "y"}, ["46 % of the power is near Nyquist: noise or aliasing"]),
+    ({"near": 0.4, "rate_of": "y"}, ["40 % of the power is near Nyquist. White noise of y, d"]),
+    ({"near": 0.46, "rate_of": "y"}, ["46 % of the power is near Nyquist: noise or aliasing"]),
     ({"Ts": 0.005}, ["the recommended Ts is below the data's Ts"]),
 ]
 
@@ -222,11 +222,11 @@ NOTES: list[tuple[dict[str, Any], list[str]]] = [
 def test_notes_have_their_limits_and_numbers(of: dict[str, Any], told: list[str]) -> None:
     fields: dict[str, Any] = {
         "Ts": 0.02, "now": 0.01, "rules": (0.03, 0.021, 0.04), "bandwidth": 50.0, "near": 0.01,
-        "seen": True, "of": "",
+        "seen": True, "rate_of": "",
     } | of  # fmt: skip
 
     bandwidth, seen = fields.pop("bandwidth"), fields.pop("seen")
-    known = {name: fields[name] for name in ("Ts", "now", "near", "of")}
+    known = {name: fields[name] for name in ("Ts", "now", "near", "rate_of")}
     doubts = list(_doubts(bandwidth=bandwidth, seen=seen, **known))
     first, *notes = [x.replace("\xa0", " ") for x in _reasons(**fields)]
     notes = [x.replace("\xa0", " ") for x in doubts] + notes
@@ -295,7 +295,9 @@ def test_an_output_that_u_does_not_explain_has_no_sampling_time() -> None:
 def test_a_response_that_returns_to_0_has_no_time_constant() -> None:
     """The final value of a differentiator is noise."""
     u = np.random.default_rng(2).standard_normal(1200)
-    y = filtered([0, 1, -1], [1, -0.94], u) + 0.02 * np.random.default_rng(1).standard_normal(1200)
+    y = apply_filter([0, 1, -1], [1, -0.94], u) + 0.02 * np.random.default_rng(1).standard_normal(
+        1200
+    )
 
     with pytest.raises(ValueError, match="returns to about 0"):
         sampling_time(Dataset(u=u, y=y, Ts=0.05))

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.estimation.nonparametric.spectra import Spectra, explained
+from armrig.estimation.nonparametric.spectra import Spectra, coherent_range
 from armrig.estimation.nonparametric.spectral import _estimate, spa, spectral_reference
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 from tests.sampling import sampled
 
@@ -99,7 +99,7 @@ def test_a_window_that_blunts_a_resonance_is_reported() -> None:
     rng = np.random.default_rng([1, 2])
     F = np.poly(0.98 * np.exp([0.5j, -0.5j])).real
     u, e = rng.standard_normal((2, 3000))
-    data = Dataset(u=u, y=filtered([0, 1], F, u) + 0.3 * e, Ts=1.0)
+    data = Dataset(u=u, y=apply_filter([0, 1], F, u) + 0.3 * e, Ts=1.0)
     truth = abs(1 / np.polyval(F, np.exp(0.5j)))
 
     blunt, sharp = (spa(data, window, [0.3, 0.5, 2.0], integrator=False) for window in (None, 400))
@@ -249,9 +249,9 @@ def test_the_band_explained_by_the_input_is_one_range(
 
     if isinstance(found, str):
         with pytest.raises(ValueError, match=f"u explains y at {found} .*and 3 are needed"):
-            explained(spectrum)
+            coherent_range(spectrum)
     else:
-        assert explained(spectrum).tolist() == found
+        assert coherent_range(spectrum).tolist() == found
 
 
 def test_windows_and_frequencies_out_of_range_are_refused(second: Any) -> None:

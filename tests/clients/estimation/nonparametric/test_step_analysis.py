@@ -13,17 +13,22 @@ from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.nonparametric.sampling_time import sampling_time
 from armrig.estimation.nonparametric.step_analysis import (
     _alone,
-    _averaged,
-    _hidden,
     _lag,
     _left_to_settle,
+    _longest_gap,
+    _mean_response,
     _Steps,
     _steps,
     _warnings,
     step_analysis,
 )
-from armrig.estimation.nonparametric.step_answer import DRAWS, Answer, _reached, _settled
-from armrig.numerics.polynomial import filtered
+from armrig.estimation.nonparametric.step_answer import (
+    DRAWS,
+    NormalisedResponse,
+    _crossing_times,
+    _settling_times,
+)
+from armrig.numerics.polynomial import apply_filter
 from armrig.numerics.quantities import with_std
 from armrig.numerics.step_times import lag_of_angle
 from armrig_core.errors import InputError
@@ -131,8 +136,8 @@ def test_a_large_step_weighs_as_the_square_of_its_size(slope: bool) -> None:
     steps = _Steps([(0, 20)], 20, 24)
     both = _Steps([(0, 20), (0, 44)], 10, 24)
 
-    k, mean, weight = _averaged(data, steps, slope=slope)
-    _, _, of_both = _averaged(data, both, slope=slope)
+    k, mean, weight = _mean_response(data, steps, slope=slope)
+    _, _, of_both = _mean_response(data, both, slope=slope)
 
     np.testing.assert_allclose(mean[k >= 0], np.arange(24.0), atol=1e-9)
     np.testing.assert_allclose(mean[k < 0], 0.0, atol=1e-9)
@@ -160,7 +165,7 @@ def test_the_longest_gap_on_the_rise_is_from_known_sample_to_known_sample(
     for a, b in missing:
         y[(k >= a) & (k < b)] = np.nan
 
-    found = _hidden(y, k, crossing, 0.01)
+    found = _longest_gap(y, k, crossing, 0.01)
 
     assert found == (None if expected is None else pytest.approx(expected))
 
@@ -210,14 +215,15 @@ def test_a_curve_crosses_and_settles_between_its_samples() -> None:
     ).T
 
     np.testing.assert_allclose(
-        _reached(t, curves), [0.3 + 0.1 * (share - 0.4) / 0.8, 0.1 + 0.1 * (share - 0.5), 0.05]
+        _crossing_times(t, curves),
+        [0.3 + 0.1 * (share - 0.4) / 0.8, 0.1 + 0.1 * (share - 0.5), 0.05],
     )
-    np.testing.assert_allclose(_settled(t, curves, 0.05), [0.45, 0.35, 0.15])
+    np.testing.assert_allclose(_settling_times(t, curves, 0.05), [0.45, 0.35, 0.15])
 
 
-def _answer_of(delays: Any, none: float) -> Answer:
+def _answer_of(delays: Any, none: float) -> NormalisedResponse:
     curves = np.linspace(0.2, 0.4, 400)
-    return Answer(
+    return NormalisedResponse(
         t=np.array([0.1, 0.2, 0.3]), y=np.array([0.5, 1.1, 1.0]), std=np.zeros(3),
         crossings=curves, delays=np.asarray(delays, float), settlings=np.linspace(0.5, 0.9, 400),
         peaks=np.full(400, 1.3), none=none,
@@ -331,7 +337,7 @@ def test_a_fast_oscillation_has_not_settled() -> None:
     """A pair of poles at 0.97 exp(±1.5j), without noise: the last sample outside 5 % counts."""
     F = np.poly(0.97 * np.exp([1.5j, -1.5j])).real
     u = np.where(np.arange(500) < 100, 0.0, 3.0)
-    y = filtered([0.0, F.sum()], F, u)
+    y = apply_filter([0.0, F.sum()], F, u)
 
     found = step_analysis(Dataset(u=u, y=y, Ts=TS), integrator=False)
 
@@ -380,7 +386,7 @@ def test_motion_before_the_step_enters_the_deviation_of_the_gain(
 ) -> None:
     """Three slow poles: the gain is -1.43, and after 60 samples of u = -1 V it is -1.32."""
     u = np.repeat([-1.0, 2.0], [before, 250])
-    y = filtered([0.0] * 6 + [-0.002], np.poly([0.93, 0.9, 0.8]), u)
+    y = apply_filter([0.0] * 6 + [-0.002], np.poly([0.93, 0.9, 0.8]), u)
     y += 1e-4 * np.random.default_rng(1).standard_normal(u.size)
 
     found = step_analysis(Dataset(u=u, y=y, Ts=0.1), integrator=False)

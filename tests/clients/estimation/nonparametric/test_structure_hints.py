@@ -12,8 +12,8 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.excitation import telegraph
-from armrig.numerics.polynomial import filtered
-from armrig.validation.recommended_structures import BARE, Recommended, _chosen, recommended
+from armrig.numerics.polynomial import apply_filter
+from armrig.validation.recommended_structures import BARE, Recommended, _choose, recommend
 from armrig.validation.structure_hints import call_of_all, structure_hints
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
@@ -52,7 +52,7 @@ def test_hints_on_the_arm_are_its_four_poles_and_its_notch(arm: Any, output: str
 def test_hints_name_the_process_model_of_a_plant(F: list[float], form: str, name: str) -> None:
     u = telegraph(1500, 0.1, seed=1)
     e = np.random.default_rng(1).standard_normal(1500)
-    y = filtered([*np.zeros(6), sum(F) / 2, sum(F) / 2], F, u) + 0.02 * e
+    y = apply_filter([*np.zeros(6), sum(F) / 2, sum(F) / 2], F, u) + 0.02 * e
 
     found = structure_hints(Dataset(u=u, y=y, Ts=1.0), integrator=False)
 
@@ -67,7 +67,7 @@ def test_a_slow_pole_is_not_an_integrator(pole: float) -> None:
     integrates = pole == 1.0
     rng = np.random.default_rng(0)
     u = np.where(np.cumsum(rng.random(1500) < 0.1) % 2, 1.0, -1.0)
-    y = filtered([0, 0.03], np.poly([pole, 0.7]), u)
+    y = apply_filter([0, 0.03], np.poly([pole, 0.7]), u)
     data = Dataset(u=u, y=y + 0.02 * np.std(y) * rng.standard_normal(1500), Ts=1.0)
 
     found = structure_hints(data)
@@ -134,7 +134,7 @@ def test_dead_time_is_delay_and_not_poles() -> None:
     """A first-order plant with ten samples of delay is not of eleventh order."""
     rng = np.random.default_rng(11)
     u = telegraph(1000, 0.05, seed=11)
-    y = filtered([0.0] * 11 + [0.1], [1.0, -0.9], u)
+    y = apply_filter([0.0] * 11 + [0.1], [1.0, -0.9], u)
     y += 0.01 * np.std(y) * rng.standard_normal(1000)
 
     found = structure_hints(Dataset(u=u, y=y, Ts=0.1), integrator=False)
@@ -151,7 +151,7 @@ def test_a_slow_telegraph_causes_no_false_slope() -> None:
     for seed in range(3):
         rng = np.random.default_rng(seed)
         u = telegraph(1000, 0.02, seed=seed)
-        y = filtered([0.0, 0.05], [1.0, -0.95], u)
+        y = apply_filter([0.0, 0.05], [1.0, -0.95], u)
         y += 0.01 * np.std(y) * rng.standard_normal(1000)
 
         found = structure_hints(Dataset(u=u, y=y, Ts=0.05), integrator=False)
@@ -169,8 +169,8 @@ def test_the_true_structure_is_recommended_in_coloured_noise() -> None:
     rng = np.random.default_rng(5)
     u = rng.standard_normal(1000)
     F = np.real(np.poly([0.9 * np.exp(0.5j), 0.9 * np.exp(-0.5j), 0.6]))
-    y = filtered([0.0, 0.0, 1.0, 0.4], F, u)
-    y += 0.1 * np.std(y) * filtered([1.0], [1.0, -0.9], rng.standard_normal(1000))
+    y = apply_filter([0.0, 0.0, 1.0, 0.4], F, u)
+    y += 0.1 * np.std(y) * apply_filter([1.0], [1.0, -0.9], rng.standard_normal(1000))
 
     found = structure_hints(Dataset(u=u, y=y, Ts=1.0), integrator=False)
 
@@ -209,19 +209,19 @@ def short_experiments(count: int, length: int) -> Dataset:
     parts = []
     for _ in range(count):
         u = 2.5 + 2.0 * np.sign(rng.normal(size=length))
-        y = filtered([0.0, 0.5, 0.3], [1.0, -1.2, 0.5], u) + rng.normal(0, 0.05, length)
+        y = apply_filter([0.0, 0.5, 0.3], [1.0, -1.2, 0.5], u) + rng.normal(0, 0.05, length)
         parts.append(Dataset(u=u, y=y, Ts=0.1))
     return merge(parts)
 
 
 def test_experiments_that_are_too_short_are_refused() -> None:
     with pytest.raises(InputError, match="hints needs at least 28 samples, got 24"):
-        recommended(short_experiments(30, 24), [0, 1, 2], integrates=False, decide=True)
+        recommend(short_experiments(30, 24), [0, 1, 2], integrates=False, decide=True)
 
 
 @pytest.mark.exhaustive
 def test_many_short_experiments_show_the_true_structure() -> None:
-    models, _, tried = recommended(
+    models, _, tried = recommend(
         short_experiments(10, 60), [0, 1, 2], integrates=False, decide=False
     )
 
@@ -248,7 +248,7 @@ def test_poles_on_the_unit_circle_that_fit_the_noise_are_not_recommended_first()
 def test_if_a_slow_pole_may_be_at_1_both_are_recommended() -> None:
     rng = np.random.default_rng(1)
     u = telegraph(150, 0.05, seed=1)
-    y = filtered([0.0, 0.1], [1.0, -0.995], u - u.mean())
+    y = apply_filter([0.0, 0.1], [1.0, -0.995], u - u.mean())
     data = Dataset(u=u, y=y + np.std(y) * rng.standard_normal(150), Ts=1.0)
 
     found = structure_hints(data)
@@ -265,7 +265,7 @@ def test_a_spectrum_unexplained_by_u_keeps_the_recommended_structures() -> None:
     rng = np.random.default_rng(21)
     u = np.repeat(rng.choice([-1.0, 1.0], 1000), 2)[:1000]
     F = np.real(np.poly(0.99 * np.exp([2j, -2j])))
-    y = filtered([0.0] * 21 + [0.1], F, u)
+    y = apply_filter([0.0] * 21 + [0.1], F, u)
     y += 0.01 * np.std(y) * rng.standard_normal(1000)
 
     found = structure_hints(Dataset(u=u, y=y, Ts=1.0), integrator=False)
@@ -290,7 +290,7 @@ def test_the_third_structure_is_the_shortest_of_a_plant_with_a_hold() -> None:
     free = [_fitted(*n, bits) for bits, n in enumerate(orders)]
     fixed = [_fitted(2, 2, 5, integrator=True), _fitted(2, 4, 6, integrator=True)]
 
-    shown, both = (_chosen([fixed, free], shown=shown) for shown in (True, False))
+    shown, both = (_choose([fixed, free], is_clear=shown) for shown in (True, False))
 
     assert shown == [free[0], free[1], free[3]]
     assert both == [free[0], fixed[0], free[1]]
