@@ -134,7 +134,7 @@ NO_MEMBERS = {
     "GreyFit.physics": "what was given",
     "Recording.dataset": "dataset calls it",
     "Recording.manifest": "what the table wrote",
-    "Estimate.calibration": "calibration calls it",
+    "CalibrationEstimate.calibration": "calibration calls it",
     "SearchResult.chosen": "ranked has it",
     "Study.best": "estimated again",
     "Study.models": "estimated and reference again",
