@@ -51,7 +51,7 @@ class _PageRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Requested models; their number is limited."""
         if not 0 < len(self.requests) <= _MOST_MODELS:
             raise InputError(f"{len(self.requests)} models: choose 1 to {_MOST_MODELS}")
-        return tuple(map(workbench.wanted_of, self.requests))
+        return tuple(map(workbench.decode_model_request, self.requests))
 
 
 class ModelRoutes(RecordingRoutes):
@@ -90,13 +90,15 @@ class ModelRoutes(RecordingRoutes):
         return await self._of_data(workbench.hint_requests, asked)
 
     async def _estimate(self, asked: _PageRequest) -> Response:
-        return await self._of_data(workbench.row, asked, workbench.wanted_of(asked.request))
+        return await self._of_data(
+            workbench.row, asked, workbench.decode_model_request(asked.request)
+        )
 
     async def _plot(self, asked: _PageRequest) -> Response:
         return await self._of_data(plot, asked, asked.models, asked.kind, asked.horizon)
 
     async def _save(self, asked: _PageRequest) -> Response:
-        model = workbench.wanted_of(asked.request)
+        model = workbench.decode_model_request(asked.request)
         return await self._of_data(workbench.save, asked, model, asked.name)
 
     async def _open(self, asked: _PageRequest) -> Response:

@@ -83,7 +83,7 @@ def json_of(does: Callable[..., Any], *arguments: Any) -> bytes:
     return page_json(does(*arguments))
 
 
-def wanted_of(request: dict[str, Any]) -> Wanted:
+def decode_model_request(request: dict[str, Any]) -> Wanted:
     """Return the request, or the file of a saved model, that the page sent."""
     kind: type[Wanted] = SavedModel if "file" in request else Request
     return msgspec.convert(request, kind)
@@ -326,7 +326,7 @@ def _validate(folder: Path, data: ModelData, key: bytes, changed_ns: int) -> Val
 
 @lru_cache(maxsize=_KEPT_FITS)
 def _fit(folder: Path, data: ModelData, key: bytes, _: int) -> Fit:
-    wanted = wanted_of(msgspec.json.decode(key))
+    wanted = decode_model_request(msgspec.json.decode(key))
     if isinstance(wanted, SavedModel):
         return load_fit(file_in(folder, wanted.file, ".json"))
     estimation = estimation_data(folder, data)
