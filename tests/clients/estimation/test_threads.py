@@ -20,12 +20,12 @@ _SCRIPT = """
 import json
 import numpy as np
 from armrig import Dataset, armax, arx, telegraph
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import apply_filter
 
 rng = np.random.default_rng(1)
 u = telegraph(20_000, 0.3, 1.5, 3.5, seed=rng) - 2.5
-noise = filtered([1.0, 0.5], [1.0, -0.7], 0.5 * rng.standard_normal(u.size))
-data = Dataset(u=u, y=filtered([0.0, 1.0, 0.5], [1.0, -1.2, 0.6], u) + noise, Ts=1.0)
+noise = apply_filter([1.0, 0.5], [1.0, -0.7], 0.5 * rng.standard_normal(u.size))
+data = Dataset(u=u, y=apply_filter([0.0, 1.0, 0.5], [1.0, -1.2, 0.6], u) + noise, Ts=1.0)
 fits = [
     arx(data, na=8, nb=8),
     armax(data, na=3, nb=2, nc=2),  # too low a nb: Gauss-Newton's steps are slow there

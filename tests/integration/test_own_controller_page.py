@@ -10,8 +10,7 @@ from armrig.rig.local_daemon import running
 from tests.clients import pages
 
 
-@pytest.mark.real_time
-@pytest.mark.exhaustive
+@pytest.mark.timed
 def test_the_programs_of_the_page_print_the_output_shown_there(
     tmp_path: Path,
     tmp_path_factory: pytest.TempPathFactory,
