@@ -26,6 +26,7 @@ from armrig.data.files.clock_table import (
     sizes_of,
 )
 from armrig.data.files.stamps import (
+    BETWEEN_WORDS,
     DATE_NAMES,
     TIME_NAMES,
     Times,
@@ -41,7 +42,8 @@ from armrig.numerics import quantities
 from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask
 
-_WORD = f"(?:{'|'.join(map(re.escape, sorted(TIME_NAMES | {'stamp'}, key=len, reverse=True)))})"
+_WORD = "|".join(sorted(TIME_NAMES | {"stamp"}, key=len, reverse=True))
+_WORD = f"(?:{_WORD.replace('_', BETWEEN_WORDS)})"
 _LABELLED = (
     re.compile(rf"{_WORD}(?:[\s_./:-]+|(?=\d+$))(?P<label>.+)"),
     re.compile(rf"(?P<label>.+?)[\s_./:-]+{_WORD}"),

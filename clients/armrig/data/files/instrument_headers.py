@@ -59,8 +59,11 @@ def head_of(lines: Lines, separator: str) -> Head:
 
     def is_head(k: int) -> bool:
         cells, kinds = probed[k], [*map(kind, probed[k])]
-        # With two columns, a line above the names such as `Scale,0.1` is a fact.
-        is_fact = k < above[-1] and len(row) == 2 and CellKind.NUMBER in kinds
+        # A line above the names such as `Logger: ACME` is a fact, and with two columns `Scale,0.1`.
+        *first_ends, last_end = [cell.strip()[-1:] for cell in cells]
+        has_label = ":" in first_ends and last_end != ":"
+        is_fact = has_label or (len(row) == 2 and CellKind.NUMBER in kinds)
+        is_fact = is_fact and k < above[-1]
         # LabVIEW writes the name of a column of comments above rows without this column.
         extra = 1 if cells[-1].strip() == "Comment" else -is_closed
         fits = len(cells) - len(row) in (0, extra) and CellKind.WORD in kinds and not is_fact
@@ -157,8 +160,7 @@ def are_units(units: Sequence[str], names: Sequence[str]) -> bool | None:
     units, names = (row if row[-1].strip() else row[:-1] for row in (units, names))
     if has_values(units) or any(len(cell) > _MAX_UNIT_CHARACTERS for cell in units):
         return None
-    words = [cell.strip().strip("[]()").casefold() for cell in units if not is_missing(cell)]
-    are_known = 2 * sum(map(bool, map(_KNOWN_UNIT.fullmatch, words))) >= len(words) > 0
+    are_known = share_of_units(units) >= 0.5
     has_times, lower_has_times = (
         bool(TIMES & {column_of(cell.strip()).name.casefold() for cell in cells})
         for cells in (names, units)
@@ -166,6 +168,12 @@ def are_units(units: Sequence[str], names: Sequence[str]) -> bool | None:
     if len(units) > len(names) or (lower_has_times and not has_times):
         return None if are_known else False
     return are_known or (has_times and not lower_has_times) or None
+
+
+def share_of_units(cells: Sequence[str]) -> float:
+    """Return the share of known units in the cells that are not empty; 0 without such cells."""
+    words = [cell.strip().strip("[]()").casefold() for cell in cells if not is_missing(cell)]
+    return sum(map(bool, map(_KNOWN_UNIT.fullmatch, words))) / max(1, len(words))
 
 
 def units_of(cells: Sequence[str]) -> list[str]:

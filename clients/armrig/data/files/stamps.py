@@ -37,7 +37,8 @@ TIME_NAMES = frozenset(
     | {"epoch", "clock", "unixtime"}
 )
 """Names of columns of times, without a unit."""
-_BETWEEN_WORDS = re.compile(r"[\s/_-]+")
+BETWEEN_WORDS = r"[\s/_-]+"
+"""Characters between the words of a name, as an expression."""
 DATE_NAMES = frozenset({"date", "datum", "day", "fecha"})
 """Names of a column of dates, if another column contains times of day."""
 _DAY_S = 86400.0
@@ -118,7 +119,7 @@ def time_columns(table: Table) -> list[int]:
 def is_time(column: Column) -> bool:
     """Return whether the name of a column means the time; Ts is a sampling time."""
     base, unit = base_and_unit(column)
-    plain = _BETWEEN_WORDS.sub("_", base)
+    plain = re.sub(BETWEEN_WORDS, "_", base)
     return plain in TIME_NAMES | ({""} if unit else set()) and column.name != "Ts"
 
 

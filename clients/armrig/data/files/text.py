@@ -33,6 +33,7 @@ from armrig.data.files.instrument_headers import (
     head_of,
     head_of_instrument,
     longest_run,
+    share_of_units,
 )
 from armrig.data.files.named_values import json_rows, long_table, without_names
 from armrig.data.files.table import Column, ReadingError, Table, Vector, shorten
@@ -172,10 +173,11 @@ def read_text(
 ) -> TextTable:
     """Return the table that a text contains; `ways_out` are the remedies that its errors name.
 
-    Lines that are empty, or begin with # or %, are remarks. A first line such as `sep=;` names the
-    separator; otherwise the separator is that of the longest run of rows in the first 65 lines. The
-    lines of words above the rows contain names, or names and units. Up to 30 lines above the names
-    are left out. The numbers show the decimal mark, or `decimal` gives it.
+    Lines that are empty, or begin with # or %, are remarks; units below the names may begin with %.
+    A first line such as `sep=;` names the separator; otherwise the separator is that of the longest
+    run of rows in the first 65 lines. The lines of words above the rows contain names, or names and
+    units. Up to 30 lines above the names are left out. The numbers show the decimal mark, or
+    `decimal` gives it.
 
     Headers of known instruments, JSON, `name=value`, long tables, and the times that the serial
     monitor of Arduino writes (`->`) are read, too.
@@ -184,11 +186,7 @@ def read_text(
     if (head := json_rows(text)) is not None:
         decimal = decimal or "."
     else:
-        lines: Lines = [
-            (k, line)
-            for k, line in enumerate(text.splitlines(), start=1)
-            if line.strip() and not line.lstrip().startswith(_REMARK_MARKS)
-        ]
+        lines = _without_remarks(text)
         _require_few_cells(lines[:PROBED_LINES])
         receipts, lines = _without_receipts(lines)
         head = without_names(lines)
@@ -224,6 +222,26 @@ def read_text(
         notes = [*notes, note]
         table = replace(table, columns=columns, rows=rows, separator=REWRITTEN, notes=notes)
     return _with_plain_cells(table, _first_cells(table))
+
+
+def _without_remarks(text: str) -> Lines:
+    """Return the lines of a text that are neither empty nor remarks, with their numbers from 1.
+
+    A line of units may begin with %, too. The line above it is no remark, as names are not.
+    """
+    lines, is_below_remark = list[tuple[int, str]](), True
+    for k, line in enumerate(text.splitlines(), start=1):
+        if start := line.lstrip()[:1]:
+            is_below_remark = start in _REMARK_MARKS and (is_below_remark or not _is_units(line))
+            if not is_below_remark:
+                lines.append((k, line))
+    return lines
+
+
+def _is_units(line: str) -> bool:
+    """Return whether a line such as `%;degC` contains units; between blanks, all are known."""
+    rows = [(mark, split(line, mark)) for mark in SEPARATORS if not mark or mark in line]
+    return any(len(row) > 1 and share_of_units(row) >= (0.5 if mark else 1) for mark, row in rows)
 
 
 def _require_few_cells(lines: Lines) -> None:

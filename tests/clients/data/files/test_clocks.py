@@ -73,6 +73,7 @@ def same_data(data: armrig.Dataset, u: Vector, y: Vector = Y, Ts: float = 0.01) 
         (("time", "time"), dates),
         (("time", "time.1"), seconds),
         (("u time", "y time"), dates),
+        (("Date/Time_u", "Date/Time_y"), dates),
         (("t_u_ms", "t_y"), seconds),
     ],
 )

@@ -117,6 +117,28 @@ def test_the_facts_of_an_oscilloscope_beside_its_rows_name_the_column() -> None:
         read_text("\n".join([*lines, "1,2,3"]))
 
 
+@pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        ("power;temp\n%;°C", ["power [%]", "temp [°C]"]),
+        ("power,temp\n%RH,furlong", ["power [%RH]", "temp [furlong]"]),
+        ("power temp\n% °C", ["power [%]", "temp [°C]"]),
+        ("power temp\n% of a day", ["power", "temp"]),
+        ("% power temp\n% W K\nu y", ["u", "y"]),
+        ("Logger: ACME\nu y", ["u", "y"]),
+        ("ch 1: ok\nt u y", ["t", "u", "y"]),
+    ],
+)
+def test_a_line_above_the_rows_is_units_or_a_remark(lines: str, expected: list[str]) -> None:
+    mark = next((x for x in ";," if x in lines), " ")
+    rows = "\n".join(mark.join(["1.5"] * len(expected)) for _ in range(3))
+
+    table = read_text(f"{lines}\n{rows}")
+
+    assert titles(table) == expected
+    assert len(table.rows) == 3
+
+
 ABOVE = ["", "A title\n", "Operator{0}Bob\nDate{0}2025-03-11\nInterval{0}0.01\n", "Log{0}{0}\n"]
 ABOVE += ["".join(f"Fact {k}{{0}}{k}\n" for k in range(30))]
 
