@@ -42,6 +42,8 @@ _MISFIT_P = 1e-4  # level of the test of the misfit
 _SURE_P2D = 0.95  # probability from which two time constants are reported
 _MAX_EXCESS = 20.0  # of the logarithm of the likelihood, from which P1D is not drawn
 _NO_DEAD_TIME_SHARE = 0.03  # ratio of the ends of the interval below which L may be 0
+_FLAT = 10.0  # likely points of the grid from which the likelihood has no sharp maximum
+_RATIOS = (_MIN_RATIO, 0.2, 0.4, 0.6, 0.8)  # of the grid of P2D
 _SHIFTS = (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)  # samples; the cost has a kink at each sample
 
 
@@ -241,9 +243,9 @@ class _ProcessRegression:
         duration = float(self._rows.t[-1])
         logs = np.linspace(np.log(0.3 * self._Ts), np.log(10 * duration), 25)
         delays = duration * np.append(0.0, np.geomspace(0.005, 0.85, 24))
-        grid = np.array([[T, _MIN_RATIO, L] for T in logs for L in delays])
-        costs = np.concatenate([self._solve(block)[0] for block in np.array_split(grid, 25)])
-        slow = self._search([grid[i] for i in np.argsort(costs)[:3]], 2)
+        self._grid = np.array([[T, _MIN_RATIO, L] for T in logs for L in delays])
+        self._grid_costs = self._costs(self._grid)
+        slow = self._search([self._grid[i] for i in np.argsort(self._grid_costs)[:3]], 2)
         near = [
             slow + np.array([0, r, -r * min(np.exp(slow[0]), slow[2])]) for r in (1e-3, 0.1, 0.4)
         ]
@@ -253,6 +255,10 @@ class _ProcessRegression:
         cost = float(self._solve(both[None])[0][0]) + self._within
         self.variance = max(cost / (self._N - 5), self._least)
         return [slow, both]
+
+    def _costs(self, grid: Vector) -> Vector:
+        """Return the cost of each theta (n, 3), computed in blocks."""
+        return np.concatenate([self._solve(block)[0] for block in np.array_split(grid, 25)])
 
     def excess(self, ends: list[Vector]) -> float:
         """Return the logarithm of the ratio of the likelihoods of P2D and P1D."""
@@ -309,30 +315,16 @@ class _ProcessRegression:
 
     def draws(self, at: Vector, free: int, rng: np.random.Generator) -> _ProcessDraws:
         """Return draws by the likelihood of white Gaussian noise."""
-        columns, white = _columns(free), self.variance
-        low, high = self._low, self._high
-        gain = float(self._solve(at[None])[1][0])
-        X = self._weighted(_tangents(self._rows.t, at).T)
-        s, slopes = X[0], X[1:][columns]
-        J = gain * (slopes - np.outer(slopes @ s, s) / max(float(s @ s), 1e-300))
-        information = J @ J.T / white + np.diag(16 / (high - low)[columns] ** 2)
-        covariance = np.linalg.inv(information)
-        # The start is rounded, so that a processor's rounding errors choose no other draws.
-        unit = 10.0 ** np.floor(np.log10(np.sqrt(np.diag(covariance)))) / 10
-        root = unit[:, None] * np.round(np.linalg.cholesky(covariance) / unit[:, None], 1)
-        at = at.copy()
-        at[columns] = unit * np.round(at[columns] / unit)
+        columns, white, low, high = _columns(free), self.variance, self._low, self._high
 
         def score(theta: Vector) -> Vector:
             inside = np.all((theta >= low) & (theta <= high), axis=1)
             cost = self._solve(np.clip(theta, low, high))[0]
             return np.where(inside, -cost / (2 * white), -np.inf)
 
-        walkers = np.repeat(at[None], _WALKERS, axis=0)
-        moved = at[columns] + rng.standard_normal((_WALKERS, free)) @ root.T
-        # Reflect at the bounds, so that no walker begins outside.
-        a, b = low[columns], high[columns]
-        walkers[:, columns] = np.clip(b - np.abs(b - a - np.abs(moved - a)), a, b)
+        walkers = self._walkers_of_grid(free, rng)
+        if walkers is None:
+            walkers = self._walkers_about(at, columns, rng)
         theta, scores = _stretch_walkers(walkers, columns, score, rng)
         _, gains, variances = self._solve(theta)
         gains = gains + np.sqrt(white * variances) * rng.standard_normal(gains.size)
@@ -345,6 +337,47 @@ class _ProcessRegression:
             noises=np.full(gains.size, np.sqrt(white)),
             scores=scores,
         )
+
+    def _walkers_of_grid(self, free: int, rng: np.random.Generator) -> Vector | None:
+        """Return points of the grid, drawn by their likelihood; None if few are likely.
+
+        Without a sharp maximum, the end of a search depends on a processor's rounding errors.
+        """
+        grid, shares = self._grid, self._likelihoods(self._grid_costs)
+        if 1 / (shares @ shares) < _FLAT:
+            return None
+        if free == 3:
+            grid = np.concatenate([grid + np.array([0, r - _MIN_RATIO, 0]) for r in _RATIOS])
+            shares = self._likelihoods(self._costs(grid))
+        return np.asarray(grid[rng.choice(len(grid), _WALKERS, p=shares)])
+
+    def _likelihoods(self, costs: Vector) -> Vector:
+        """Return the likelihoods of points with these costs, divided by their sum."""
+        likelihoods = np.exp((costs.min() - costs) / (2 * self.variance))
+        return np.asarray(likelihoods / likelihoods.sum())
+
+    def _walkers_about(
+        self, at: Vector, columns: NDArray[np.int_], rng: np.random.Generator
+    ) -> Vector:
+        """Return points from the Gaussian distribution about the most likely theta."""
+        white, low, high = self.variance, self._low, self._high
+        gain = float(self._solve(at[None])[1][0])
+        X = self._weighted(_tangents(self._rows.t, at).T)
+        s, slopes = X[0], X[1:][columns]
+        J = gain * (slopes - np.outer(slopes @ s, s) / max(float(s @ s), 1e-300))
+        information = J @ J.T / white + np.diag(16 / (high - low)[columns] ** 2)
+        covariance = np.linalg.inv(information)
+        # The start is rounded, so that a processor's rounding errors choose no other draws.
+        unit = 10.0 ** np.floor(np.log10(np.sqrt(np.diag(covariance)))) / 10
+        root = unit[:, None] * np.round(np.linalg.cholesky(covariance) / unit[:, None], 1)
+        at = at.copy()
+        at[columns] = unit * np.round(at[columns] / unit)
+        walkers = np.repeat(at[None], _WALKERS, axis=0)
+        moved = at[columns] + rng.standard_normal((_WALKERS, columns.size)) @ root.T
+        # Reflect at the bounds, so that no walker begins outside.
+        a, b = low[columns], high[columns]
+        walkers[:, columns] = np.clip(b - np.abs(b - a - np.abs(moved - a)), a, b)
+        return walkers
 
     def coded_draws(
         self, rows: _Rows, start: _ProcessDraws, free: int, rng: np.random.Generator
