@@ -34,6 +34,7 @@ MOST_PAST = _ORDERS[0]
 _MIN_WHOLE_SHARE = 0.5  # share of the rows that must have no missing past y
 _ROWS_PER_ORDER = 20  # samples for each a that is tried
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
+_MIN_OWN_ROUNDING = 10.0  # norm that determines a past output, in norms of the rounding errors
 _GROWTH = 3.0  # a first coefficient is at least 1/(1 + 3 n) of the coefficient n samples later
 _ONSET = 2  # number of lags after the first significant lag that determine the slope of the onset
 _COEFFICIENTS_AFTER_FIRST = 40
@@ -274,10 +275,14 @@ def _triangle_of(R: Vector, columns: list[int]) -> Vector:
 def _orders(R: Vector, most: int, lags: int, N: int, least: float) -> tuple[int, int]:
     """Return na and the number of lags of u (from the least lag on) with the least AIC.
 
-    A sum of squares below `least` is due to rounding errors.
+    A sum of squares below `least` is due to rounding errors. A past output that depends on later
+    ones and on the lags of u is not tried, and no earlier one.
     """
-    values = np.empty((most + 1, lags))
-    for na in range(most + 1):
+    own = np.diag(_triangle_of(R, [*range(most, most + lags), *range(most)]))[lags:]
+    is_determined = np.abs(own) > _MIN_OWN_ROUNDING * np.sqrt(least)
+    most_determined = int(np.argmin(np.append(is_determined, False)))
+    values = np.empty((most_determined + 1, lags))
+    for na in range(most_determined + 1):
         T = _triangle_of(R, [*range(na), *range(most, most + lags + 1)])
         sse = np.cumsum(T[::-1, -1] ** 2)[::-1]
         d = na + np.arange(1, lags + 1)
