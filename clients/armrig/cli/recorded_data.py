@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
@@ -84,6 +85,7 @@ Assumption = Literal["integrating", "settling"]
 PART = ("calibration", "start", "stop")
 """Options of reading a recording."""
 _FLAGS = {"start": "--from", "stop": "--to"}
+_DEFAULT_NAME = re.compile(r"[uy]\d*")  # of a column without a name
 _DIGITS = 12  # of a number in a command line
 
 
@@ -225,17 +227,22 @@ def require_as_many(model: Fit, outputs: Sequence[str], inputs: Sequence[str]) -
 
 
 def as_modelled(
-    file: Path, data: Dataset | Signals, model: Fit, *, named: bool
+    file: Path,
+    data: Dataset | Signals,
+    model: Fit,
+    outputs: Sequence[str],
+    inputs: Sequence[str],
 ) -> Dataset | Signals:
     """Return the data with the model's names, in the model's order.
 
-    If the user names other columns, these columns are used as the model's signals. A message lists
-    the columns.
+    If the user names other columns as `outputs` and `inputs`, these columns are used as the model's
+    signals. A message lists the columns.
     """
     if isinstance(data, armrig.Dataset):
-        # A column that the user named is the model's output.
-        renames = named and model.output not in UNNAMED
-        return data.replaced(step=None, output=model.output) if renames else data
+        # A column that the user named is the model's signal.
+        output = model.output if outputs and model.output not in UNNAMED else data.output
+        input = model.inputs[0] if inputs else data.input
+        return data.replaced(step=None, output=output, input=input)
     for wanted, columns in ((model.outputs, data.outputs), (model.inputs, data.inputs)):
         if set(wanted) != set(columns):
             tell(
@@ -332,6 +339,8 @@ class SignalChoice(DataOptions):
     """True if a constant level of y is also estimated; None if the command has no such option."""
     read: list[armrig.Recording] = field(default_factory=list)
     """Recordings read so far; the first recording is for estimation."""
+    columns: dict[str, str] = field(default_factory=dict)
+    """Names of the columns that numbers chose in the first file that was read."""
 
     @classmethod
     def of_options(cls, **options: Any) -> Self:
@@ -472,16 +481,20 @@ class SignalChoice(DataOptions):
         if model is not None:
             inputs, outputs = inputs or model.inputs, outputs or model.outputs
         inputs, outputs = inputs or ("u",), tuple(name or "y" for name in outputs) or ("y",)
-        data = self._read(file, inputs, outputs)
+        data = self._read_as_first(file, inputs, outputs)
         columns = data.signals()
         if isinstance(data, armrig.Dataset):
-            read = [f"the input is column {inputs[0]}", f"the signal is column {outputs[0]}"]
+            at = [
+                name or typed
+                for name, typed in zip(_of_column(data), inputs + outputs, strict=True)
+            ]
+            read = [f"the input is column {at[0]}", f"the signal is column {at[1]}"]
             missing = "samples without {}"
         else:
             read = [f"outputs {', '.join(columns.outputs)}", f"inputs {', '.join(columns.inputs)}"]
             missing = "values are missing"
         if model is not None:
-            data = as_modelled(file, data, model, named=self.signal is not None)
+            data = as_modelled(file, data, model, self.outputs, self.inputs)
             columns = data.signals()
         tell_of_reading(file, data, read, missing.format(columns.outputs[0]))
         for name in columns.outputs:
@@ -509,6 +522,34 @@ class SignalChoice(DataOptions):
         ):
             inputs = list(zip(data.inputs, data.u.T, strict=True))
             hint_at_means(valid_outputs(data), inputs, may_offset=self.offset is not None)
+
+    def _read_as_first(
+        self, file: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]
+    ) -> Dataset | Signals:
+        """Return the columns; numbers choose the columns that they chose in the first file.
+
+        Numbers choose columns by place if the file has no names.
+        """
+        from armrig.data.files.table import NoColumnError
+
+        typed = (*inputs, *outputs)
+        by_name = [self.columns.get(x, x) for x in typed]
+        try:
+            data = self._read(file, tuple(by_name[: len(inputs)]), tuple(by_name[len(inputs) :]))
+        except NoColumnError:
+            if not self.columns:
+                raise
+            data = self._read(file, inputs, outputs)
+            if any(other := _of_column(data)):
+                raise InputError(
+                    f"{file}: columns {join_names(typed)} are {join_names(other)}, in the first "
+                    f"file {join_names(by_name)}; give the columns of both files the same names"
+                ) from None
+        chosen = _of_column(data)
+        if not self.columns and len(chosen) == len(typed):
+            pairs = zip(typed, chosen, strict=True)
+            self.columns.update({x: name for x, name in pairs if x.isdecimal() and name})
+        return data
 
     def _read(
         self, file: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]
@@ -547,6 +588,13 @@ class SignalChoice(DataOptions):
         if self.offset is not None and has_level(data):
             self._hint_at_means(data.signals(), model)
         return data
+
+
+def _of_column(data: Dataset | Signals) -> list[str]:
+    """Return the names of inputs and outputs, "" for a column without a name."""
+    columns = data.signals()
+    both = (*columns.inputs, *columns.outputs)
+    return ["" if _DEFAULT_NAME.fullmatch(name) else name for name in both]
 
 
 def data_group(*, without: str = "", several: bool = True) -> Group:

@@ -40,7 +40,7 @@ def require_same_signals(model: Fit, data: Dataset | Signals) -> None:
     """Refuse data that differ from the model in signals, units or sampling time.
 
     For one input and one output, an empty name matches any name, and an empty unit any unit. The
-    name y counts as empty.
+    names u and y count as empty.
     """
     if (model.ny, model.nu) != (1, 1):
         _require_same_channels(model, data)
@@ -51,14 +51,27 @@ def require_same_signals(model: Fit, data: Dataset | Signals) -> None:
         )
     dataset = _single(data)
     _require_same_Ts(model, dataset.Ts)
-    names = {model.output, dataset.output} - {"", "y"}
-    units = {model.unit, dataset.unit} - {""}
-    if len(names) > 1 or len(units) > 1:
-        of_model, of_data = (f"{x.output} [{x.unit or '–'}]" for x in (model, dataset))
-        raise InputError(
-            f"the model's output is {of_model} and the data contain {of_data}; validate with the "
-            f"model's output, recording.dataset(output={model.output!r})"
-        )
+    for role, default, ours, theirs in (
+        ("output", "y", (model.output, model.unit), (dataset.output, dataset.unit)),
+        (
+            "input",
+            "u",
+            (model.inputs[0], model.input_units[0]),
+            (dataset.input, dataset.input_unit),
+        ),
+    ):
+        names, units = ({*x} - {"", default} for x in zip(ours, theirs, strict=True))
+        if len(names) > 1 or len(units) > 1:
+            of_model, of_data = (f"{name} [{unit or '–'}]" for name, unit in (ours, theirs))
+            way = (
+                f"recording.dataset(output={model.output!r})"
+                if role == "output"
+                else (f"signals.dataset({model.output!r}, {model.inputs[0]!r})")
+            )
+            raise InputError(
+                f"the model's {role} is {of_model} and the data contain {of_data}; validate with "
+                f"the model's {role}, {way}"
+            )
 
 
 def _require_same_channels(model: Fit, data: object) -> None:

@@ -179,3 +179,58 @@ def test_check_and_validate_name_a_nonlinear_rig(
 
     for command in ("check data.csv", "validate data.csv --model m.json"):
         assert "NONLINEAR: a dead zone of u from" in run(command, tmp_path, capsys)[1]
+
+
+EQUATIONS = """
+import armrig
+
+model = armrig.Ode(
+    lambda t, x, u, p: [(p.k * u[0] - x[0]) / p.tau],
+    output=lambda t, x, u, p: x[0],
+    states=["temp"],
+    parameters={"k": armrig.Parameter(2.0), "tau": armrig.Parameter(0.3, low=0.01)},
+)
+"""
+
+
+def write_heater(path: Path, seed: int, order: str) -> None:
+    """Write t, power, temp = power/(1 + 0.5 s), and fan, which does nothing, in an order."""
+    rng, N, pole = np.random.default_rng(seed), 400, np.exp(-TS / 0.5)
+    power, fan = (np.repeat(rng.uniform(0, 4, N), hold)[:N] for hold in (8, 5))
+    temp = lfilter([0, 1 - pole], [1, -pole], power) + 0.01 * rng.standard_normal(N)
+    columns = {"t": TS * np.arange(N), "power": power, "temp": temp, "fan": fan}
+    rows = np.column_stack([columns[name] for name in order.split(",")])
+    np.savetxt(path, rows, delimiter=",", header=order, comments="")
+
+
+@pytest.mark.parametrize("other", ["second.csv", "@second"])
+@pytest.mark.parametrize(
+    "command", ["identify first.csv --structure oe --nb 1 --nf 1", "greybox first.csv --model m.py"]
+)
+def test_numbers_choose_the_columns_of_the_first_file_in_the_second_file(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    other: str,
+) -> None:
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path / "recordings"))
+    monkeypatch.chdir(tmp_path)
+    Path("m.py").write_text(EQUATIONS)
+    write_heater(Path("first.csv"), 1, "t,power,temp,fan")
+    write_heater(Path("second.csv"), 2, "t,fan,temp,power")
+    assert main(["import", "second.csv"]) == 0
+    capsys.readouterr()
+    words = [*command.split(), "--input", "2", "--signal", "3", "--validate"]
+
+    assert main([*words, other, "--json"]) == 0
+    validation = json.loads(capsys.readouterr().out)["validation"]
+    assert validation.get("temp", validation)["fit_percent"] > 95
+
+    named = Path("first.csv").read_text().replace("power", "light")
+    Path("renamed.csv").write_text(named)
+    assert main([*words, "renamed.csv"]) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        "armrig: renamed.csv: columns 2 and 3 are light and temp, in the first file power and "
+        "temp; give the columns of both files the same names"
+    )

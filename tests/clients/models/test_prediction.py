@@ -103,7 +103,7 @@ def test_an_input_offset_is_estimated_if_the_model_has_one(offset: bool, integra
 
 
 def test_a_mismatch_of_signals_names_those_of_the_model_first() -> None:
-    fit, u = made(), np.zeros(5)
+    fit, u = replace(made(), inputs=("lamp",), input_units=("V",)), np.zeros(5)
 
     for data, said in (
         (
@@ -111,6 +111,8 @@ def test_a_mismatch_of_signals_names_those_of_the_model_first() -> None:
             r"alpha \[rad\].*theta_1 \[rad\]",
         ),
         (Dataset(u=u, y=u, Ts=0.1, output="alpha", unit="°"), r"alpha \[rad\].*alpha \[°\]"),
+        (Dataset(u=u, y=u, Ts=0.1, input="fan"), r"input is lamp \[V\].*fan \[V\]"),
+        (Dataset(u=u, y=u, Ts=0.1, input_unit="%"), r"input is lamp \[V\].*u \[%\]"),
         (Dataset(u=u, y=u, Ts=0.1000001, output="alpha"), r"Ts=0.1 s and the data have Ts=0.1 s"),
     ):
         with pytest.raises(ValueError, match=f"the model.*{said}"):

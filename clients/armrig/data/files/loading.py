@@ -224,6 +224,8 @@ def naming_file(path: Path) -> Iterator[None]:
         yield
     except ReadingError as err:
         raise ReadingError(f"{path}: {err}", err.option) from err
+    except NoColumnError as err:
+        raise NoColumnError(f"{path}: {err}") from err
     except InputError as err:
         text = str(err).replace("FILE", quote(str(path)))  # in a command that converts the file
         raise FileError(f"{path}: {text}") from err
@@ -361,7 +363,7 @@ def _columns(
         text += ": there are no such columns" if len(missing) > 1 else ": there is no such column"
         text += "" if has_times else ", and the sampling time is not known (or give --Ts, in s)"
         options = dict.fromkeys([*(role for role, *_ in missing), *([] if has_times else ["time"])])
-        raise FileError(f"{text}; {remedy(table, ' and --'.join(options))}")
+        raise NoColumnError(f"{text}; {remedy(table, ' and --'.join(options))}")
     if missing:
         raise missing[0][-1]
     owners: dict[int, list[str]] = {}
