@@ -30,7 +30,10 @@ def _rows(seed: int = 1) -> list[tuple[float, float]]:
     return rows
 
 
-def _csv(path: Path, *, names: str = "time [s],power [W],temp [°C]", seed: int = 1) -> Path:
+HEADING = "time [s],power [W],temp [°C]"
+
+
+def _csv(path: Path, *, names: str = HEADING, seed: int = 1) -> Path:
     lines = [f"{0.5 * k:.1f},{u:.0f},{y:.4f}" for k, (u, y) in enumerate(_rows(seed))]
     path.write_text("\n".join([names, *lines]) + "\n", encoding="utf-8")
     return path
@@ -40,11 +43,12 @@ def _csv(path: Path, *, names: str = "time [s],power [W],temp [°C]", seed: int 
 def lamp(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Path:
-    """Import a heater's file as @lamp, and a second one as @again; give the first import."""
+    """Import files of heaters as @lamp, @again and @price; give the first import."""
     monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path / "recordings"))
     monkeypatch.chdir(tmp_path)
-    for name, seed in (("lamp", 1), ("again", 2)):
-        file = _csv(Path(f"{name}.csv"), seed=seed)
+    for name, seed in (("lamp", 1), ("again", 2), ("price", 3)):
+        names = "time [s],power [$],temp [$/h]" if name == "price" else HEADING
+        file = _csv(Path(f"{name}.csv"), names=names, seed=seed)
         assert main(["import", str(file), "--input", "power", "--signal", "temp"]) == 0
     capsys.readouterr()
     [path] = (tmp_path / "recordings").glob("imported-lamp-*.mcap")
@@ -66,8 +70,10 @@ def lamp(
         ("check @lamp --detrend", "open loop"),
         ("linearity @lamp", "no nonlinearity found"),
         ("report @lamp @again -o report.pdf", "report.pdf"),
+        ("report @price -o price.pdf", "price.pdf"),
+        ("plot @price -o price.png", ""),
         ("compare @lamp @again", "simulated on @again"),
-        ("batch verify recordings -o table.parquet", "table.parquet: 2 recordings"),
+        ("batch verify recordings -o table.parquet", "table.parquet: 3 recordings"),
     ],
 )
 def test_every_command_reads_imported_data(

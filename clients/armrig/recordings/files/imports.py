@@ -58,7 +58,7 @@ def recording_of(path: Path, name: str, data: ImportedData) -> Recording:
     Raises FileError if the import does not know one input and one or two outputs.
     """
     columns = data.on_grid()
-    units = {c.name: c.unit for c in data.facts.columns}
+    units = {c.name: rig_unit(c.unit) for c in data.facts.columns}
     inputs, outputs = data.facts.roles()
     if len(inputs) != 1 or not 1 <= len(outputs) <= MAX_CHANNELS:
         raise FileError(
@@ -99,6 +99,11 @@ def rig_name(column: str, what: str = "output") -> str:
     """Return the name of a column as a rig's description may have it."""
     name = re.sub(r"\W+", "_", column, flags=re.A).strip("_")[:32]
     return name if re.match("[A-Za-z]", name) else f"{what}_{name}"[:32]
+
+
+def rig_unit(unit: str) -> str:
+    """Return a unit as a rig's description may have it."""
+    return "".join(c for c in unit.replace("$", "dollar") if c.isprintable())[:80]
 
 
 def require_rig(path: Path, command: str) -> None:
