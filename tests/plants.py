@@ -9,9 +9,10 @@ from typing import Any
 import armrig
 import control
 import numpy as np
-from armrig import ArmParameters, Dataset, Fit, Signals
+from armrig import Dataset, Fit, Signals
 from armrig.models.structure import Structure
 from armrig.numerics.polynomial import apply_filter
+from armrig.physics import ArmParameters
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
@@ -194,7 +195,7 @@ def simulated_arm(rng: Draw, N: int, alpha_std: float) -> tuple[ArmParameters, S
     """Return drawn parameters, and signals of the arm with them: telegraph, 5 mrad on theta_1."""
     p = drawn_arm(rng)
     u = armrig.telegraph(N, 0.05, 0.0, 5.0, seed=rng)
-    sampled = control.c2d(armrig.arm(p)[["theta_1", "alpha"], :], ARM_TS)
+    sampled = control.c2d(armrig.physics.arm(p)[["theta_1", "alpha"], :], ARM_TS)
     _, y = control.forced_response(sampled, inputs=u)
     y = y.T + rng.standard_normal((N, 2)) * [THETA_1_STD, alpha_std]
     names = {"inputs": ["u"], "outputs": ["theta_1", "alpha"], "units": ["rad", "rad"]}

@@ -807,7 +807,7 @@ def compare() -> Variants:
         found = armrig.compare(unlike().select(2, 1), *slow, horizon=horizon)
         yield f"unlike {horizon}", found
     yield "integrator", armrig.compare(unlike_integrating()[50:], oe_backwards(), labels=["one"])
-    physics = armrig.physical_model(ArmParameters(), arm_data())
+    physics = armrig.physics.physical_model(ArmParameters(), arm_data())
     fit = armrig.arx(arm_data(), na=4, nb=4)
     yield "physics", armrig.compare(holed(arm_data(2)), fit, physics)
 
@@ -855,7 +855,7 @@ def open_loop() -> Variants:
     yield "unlike", armrig.open_loop(unlike(1.0), 0.2)
 
 
-def matrices(law: armrig.ControlLaw) -> tuple[Any, ...]:
+def matrices(law: armrig.control.ControlLaw) -> tuple[Any, ...]:
     return (*(np.array(M) for M in (law.A, law.B, law.C)), law.D, law.u0)
 
 
@@ -864,14 +864,17 @@ def control_law() -> Variants:
     import control
 
     C = control.tf([0.2, -0.199], [1, -1], 0.01)
-    yield "PI", matrices(armrig.control_law(C, outputs="alpha", reference=(-0.2, 0.2)))
+    yield "PI", matrices(armrig.control.control_law(C, outputs="alpha", reference=(-0.2, 0.2)))
 
 
 @variants
 def pid() -> Variants:
     import control
 
-    yield "heater", matrices(armrig.pid(control.tf([9.0], [175, 1]), time_constant=60.0, Ts=1.0))
+    yield (
+        "heater",
+        matrices(armrig.control.pid(control.tf([9.0], [175, 1]), time_constant=60.0, Ts=1.0)),
+    )
 
 
 @variants
@@ -879,20 +882,20 @@ def place() -> Variants:
     yield "arm", matrices(placed())
 
 
-def placed() -> armrig.ControlLaw:
-    plant = armrig.arm(ArmParameters())
-    return armrig.place(plant, [-18 + 18j, -18 - 18j, -42], rate=True, Ts=0.01)
+def placed() -> armrig.control.ControlLaw:
+    plant = armrig.physics.arm(ArmParameters())
+    return armrig.control.place(plant, [-18 + 18j, -18 - 18j, -42], rate=True, Ts=0.01)
 
 
 @variants
 def lqg() -> Variants:
-    plant = armrig.arm(ArmParameters())
-    yield "arm", matrices(armrig.lqg(plant, effort=0.1, rate=True, Ts=0.01))
+    plant = armrig.physics.arm(ArmParameters())
+    yield "arm", matrices(armrig.control.lqg(plant, effort=0.1, rate=True, Ts=0.01))
 
 
 @variants
 def check_law() -> Variants:
-    found = armrig.check_law(placed(), armrig.arm(ArmParameters()))
+    found = armrig.control.check_law(placed(), armrig.physics.arm(ArmParameters()))
     yield (
         "arm",
         (found.worst_Ms, found.nominal.gain, found.nominal.phase_deg, found.nominal.delay_s),
@@ -1040,10 +1043,10 @@ def white_noise() -> Variants:
 
 
 @variants
-def from_csv() -> Variants:
+def input_from_file() -> Variants:
     path = folder() / "input.csv"
     path.write_text("\n".join(f"{x:.4f}" for x in switching(40, 6, 0.3)))
-    yield "plain", armrig.from_csv(path, 0.01)
+    yield "plain", armrig.input_from_file(path, 0.01)
 
 
 @variants
@@ -1092,9 +1095,9 @@ def predicted_std() -> Variants:
 def predicted_parameter_std() -> Variants:
     predicted = partial(armrig.predicted_parameter_std, Ts=0.005, noise_variance=1e-5)
     u = switching(400, 5, 0.02)
-    yield "chassis", predicted(armrig.chassis, u)
-    yield "two", predicted(armrig.chassis, u, free=("J_1", "K_m"))
-    yield "arm", predicted(armrig.arm, u, free=("J_1", "J_2"), output="alpha")
+    yield "chassis", predicted(armrig.physics.chassis, u)
+    yield "two", predicted(armrig.physics.chassis, u, free=("J_1", "K_m"))
+    yield "arm", predicted(armrig.physics.arm, u, free=("J_1", "J_2"), output="alpha")
 
 
 # Physics.
@@ -1114,30 +1117,33 @@ CALLS["ArmParameters"] = CALLS.pop("ArmParameters_")
 
 @variants
 def arm() -> Variants:
-    yield "own", armrig.arm(ArmParameters())
-    yield "other", armrig.arm(OTHER)
+    yield "own", armrig.physics.arm(ArmParameters())
+    yield "other", armrig.physics.arm(OTHER)
 
 
 @variants
 def chassis() -> Variants:
-    yield "own", armrig.chassis(ArmParameters())
-    yield "other", armrig.chassis(OTHER)
+    yield "own", armrig.physics.chassis(ArmParameters())
+    yield "other", armrig.physics.chassis(OTHER)
 
 
 @variants
 def characteristics() -> Variants:
-    yield "own", armrig.characteristics()
-    yield "other", armrig.characteristics(OTHER)
-    yield "stiff", armrig.characteristics(replace(OTHER, K_lin=12.0))
+    yield "own", armrig.physics.characteristics()
+    yield "other", armrig.physics.characteristics(OTHER)
+    yield "stiff", armrig.physics.characteristics(replace(OTHER, K_lin=12.0))
 
 
 @variants
 def step_sensitivities() -> Variants:
     t = np.linspace(0, 0.8, 40)
-    yield "rate", armrig.step_sensitivities(ArmParameters(), t)
+    yield "rate", armrig.physics.step_sensitivities(ArmParameters(), t)
     few = {"names": ("J_1", "b_1"), "u": 2.0, "state": "theta_1"}
-    yield "chassis", armrig.step_sensitivities(OTHER, t, model=armrig.chassis, **few)
-    yield "alpha", armrig.step_sensitivities(OTHER, t, names=("K_lin",), state="alpha")
+    yield (
+        "chassis",
+        armrig.physics.step_sensitivities(OTHER, t, model=armrig.physics.chassis, **few),
+    )
+    yield "alpha", armrig.physics.step_sensitivities(OTHER, t, names=("K_lin",), state="alpha")
 
 
 @variants
@@ -1151,16 +1157,16 @@ def step_response() -> Variants:
 
 @variants
 def physical_model() -> Variants:
-    yield "angle", armrig.physical_model(OTHER, arm_data())
-    yield "rate", armrig.physical_model(OTHER, armrig.difference(arm_data()))
+    yield "angle", armrig.physics.physical_model(OTHER, arm_data())
+    yield "rate", armrig.physics.physical_model(OTHER, armrig.difference(arm_data()))
 
 
 @variants
 def rehearse() -> Variants:
     u = switching(300, 2, 0.03)
-    yield "plain", armrig.rehearse(u, 0.01)
-    yield "chassis", armrig.rehearse(u, 0.005, parameters=OTHER, arm_removed=True)
-    yield "from", armrig.rehearse(u, 0.01, theta_1_rad=0.4, revolutions=9.0, alpha_rad=2.0)
+    yield "plain", armrig.physics.rehearse(u, 0.01)
+    yield "chassis", armrig.physics.rehearse(u, 0.005, parameters=OTHER, arm_removed=True)
+    yield "from", armrig.physics.rehearse(u, 0.01, theta_1_rad=0.4, revolutions=9.0, alpha_rad=2.0)
 
 
 LINEAR = arm_matrices(ArmParameters())[:2]
@@ -1170,28 +1176,30 @@ METHODS_OF_INTEGRATION = ("forward_euler", "ab2", "trapezoidal", "heun", "midpoi
 
 @variants
 def exact() -> Variants:
-    yield "plain", armrig.exact(*DAMPED, 2.0, 3.0, [1.0, -0.5], np.linspace(0, 3, 20))
+    yield "plain", armrig.physics.exact(*DAMPED, 2.0, 3.0, [1.0, -0.5], np.linspace(0, 3, 20))
 
 
 @variants
 def integrate() -> Variants:
     for method in METHODS_OF_INTEGRATION:
-        found = armrig.integrate(*DAMPED, lambda t: np.sin(2 * t) + t, [1.0, 0.2], 0.05, 30, method)
+        found = armrig.physics.integrate(
+            *DAMPED, lambda t: np.sin(2 * t) + t, [1.0, 0.2], 0.05, 30, method
+        )
         yield method, found
 
 
 @variants
 def sinusoid() -> Variants:
-    yield "plain", armrig.sinusoid(*LINEAR, omega=10.0, amplitude=2.5)
-    yield "from", armrig.sinusoid(*DAMPED, omega=2.0, x0=[1.0, 0.0], span=3.0)
+    yield "plain", armrig.physics.sinusoid(*LINEAR, omega=10.0, amplitude=2.5)
+    yield "from", armrig.physics.sinusoid(*DAMPED, omega=2.0, x0=[1.0, 0.0], span=3.0)
 
 
 @variants
 def convergence() -> Variants:
-    problem = armrig.sinusoid(*DAMPED, omega=2.0, x0=[1.0, 0.0], span=3.0)
+    problem = armrig.physics.sinusoid(*DAMPED, omega=2.0, x0=[1.0, 0.0], span=3.0)
     for method in METHODS_OF_INTEGRATION:
-        yield method, armrig.convergence(problem, method, [0.05, 0.025, 0.0125])
-    yield "own", armrig.convergence(problem, "heun")
+        yield method, armrig.physics.convergence(problem, method, [0.05, 0.025, 0.0125])
+    yield "own", armrig.physics.convergence(problem, "heun")
 
 
 @variants
@@ -1199,14 +1207,20 @@ def stability_limit() -> Variants:
     for method in METHODS_OF_INTEGRATION:
         yield (
             method,
-            (armrig.stability_limit(LINEAR[0], method), armrig.stability_limit(DAMPED[0], method)),
+            (
+                armrig.physics.stability_limit(LINEAR[0], method),
+                armrig.physics.stability_limit(DAMPED[0], method),
+            ),
         )
 
 
 @variants
 def recommend_step() -> Variants:
-    yield "arm", armrig.recommend_step(*LINEAR, omega=10.0, amplitude=2.5, methods=("ab2", "heun"))
-    yield "damped", armrig.recommend_step(*DAMPED, omega=2.0, tolerance=1e-4, span=4.0)
+    yield (
+        "arm",
+        armrig.physics.recommend_step(*LINEAR, omega=10.0, amplitude=2.5, methods=("ab2", "heun")),
+    )
+    yield "damped", armrig.physics.recommend_step(*DAMPED, omega=2.0, tolerance=1e-4, span=4.0)
 
 
 @variants
@@ -1220,7 +1234,7 @@ def greybox() -> Variants:
     yield "friction", armrig.greybox(rubbing(), friction="coulomb")
     yield "both ways", armrig.greybox(both_ways(), friction="coulomb")
     yield "viscous", armrig.greybox(rubbing(), friction="viscous", fixed_std={"K_m": 2e-4})
-    yield "arm", armrig.greybox(holed(arm_data(), 160), armrig.arm, ("J_1", "J_2"))
+    yield "arm", armrig.greybox(holed(arm_data(), 160), armrig.physics.arm, ("J_1", "J_2"))
     chassis = armrig.Ode(
         f=lambda t, x, u, p: [x[1], (0.167 * u[0] - p.d * x[1]) / p.J],
         output=lambda t, x, u, p: x[0],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 from armrig_core.process.imports import homes, public
@@ -15,14 +16,44 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("armrig")
-    name = _EARLIER_NAMES.get(name, name)
-    if name not in __all__:
-        raise AttributeError(_no_attribute(name), name=name)
-    return public(__name__, name)
+    if name in _PACKAGES:
+        return import_module(f"{__name__}.{name}")
+    if name in __all__:
+        return public(__name__, name)
+    if present := _present_name(name):
+        return _renamed(name, present)
+    raise AttributeError(_no_attribute(name), name=name)
 
 
-_EARLIER_NAMES = {"SubspaceFit": "Fit", "MultivariableFit": "Fit"}
-"""Public names of earlier releases, and the present names."""
+_PACKAGES = ("control", "physics", "plots")
+"""Packages with public names of their own."""
+_EARLIER_NAMES = {
+    "SubspaceFit": "Fit",
+    "MultivariableFit": "Fit",
+    "from_csv": "input_from_file",
+}
+"""Names of earlier releases, and the present names. They end with release 0.4, as do the names of
+`armrig.control` and `armrig.physics` without the package."""
+
+
+def _present_name(name: str) -> str:
+    """Return the present name of an earlier name, "" for any other name."""
+    for package in ("control", "physics"):
+        if name in import_module(f"{__name__}.{package}").__all__:
+            return f"{package}.{name}"
+    return _EARLIER_NAMES.get(name, "")
+
+
+def _renamed(name: str, present: str) -> Any:
+    """Return the object that a name of an earlier release means, and warn."""
+    import warnings
+
+    text = f"armrig.{name} is armrig.{present} now; the earlier name ends with armrig 0.4"
+    warnings.warn(text, DeprecationWarning, stacklevel=3)
+    package, _, last = f"{__name__}.{present}".rpartition(".")
+    return getattr(import_module(package), last)
+
+
 _OTHER_NAMES = {
     "PlannedModel": "Fit.of_channel",
     "iddata": "Dataset",
@@ -39,10 +70,10 @@ _OTHER_NAMES = {
     "selstruc": "select_orders",
     "arxstruc": "select_orders",
     "impulseest": "impulse_response",
-    "pidtune": "pid",
-    "dlqr": "lqg",
-    "lqr": "lqg",
-    "margin": "check_law",
+    "pidtune": "control.pid",
+    "dlqr": "control.lqg",
+    "lqr": "control.lqg",
+    "margin": "control.check_law",
     "cra": "correlation",
 }
 """Functions of the System Identification Toolbox and of earlier releases, and the present names."""
@@ -57,4 +88,4 @@ def _no_attribute(name: str) -> str:
 
 
 def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+    return [*__all__, *_PACKAGES, "__version__"]

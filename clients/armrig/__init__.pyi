@@ -1,5 +1,3 @@
-from armrig_core.control.control_law import ControlLaw as ControlLaw
-from armrig_core.control.control_law import load_law as load_law
 from armrig_core.errors import ArmrigError as ArmrigError
 from armrig_core.errors import FileError as FileError
 from armrig_core.errors import InputError as InputError
@@ -8,12 +6,9 @@ from armrig_core.rig.equations import Parameter as Parameter
 from armrig_core.rig.equations import friction as friction
 from armrig_core.rig.equations import saturation as saturation
 
-from armrig.control.conversion import control_law as control_law
-from armrig.control.law_check import check_law as check_law
-from armrig.control.loop_comparison import compare_loop as compare_loop
-from armrig.control.pid import pid as pid
-from armrig.control.state_feedback import lqg as lqg
-from armrig.control.state_feedback import place as place
+from armrig import control as control
+from armrig import physics as physics
+from armrig import plots as plots
 from armrig.data.dataset import Dataset as Dataset
 from armrig.data.dataset import Signals as Signals
 from armrig.data.files.loading import load_data as load_data
@@ -51,7 +46,7 @@ from armrig.estimation.transfer_functions import process as process
 from armrig.estimation.transfer_functions import tf as tf
 from armrig.estimation.two_stage import two_stage as two_stage
 from armrig.excitation import chirp as chirp
-from armrig.excitation import from_csv as from_csv
+from armrig.excitation import input_from_file as input_from_file
 from armrig.excitation import multisine as multisine
 from armrig.excitation import prbs as prbs
 from armrig.excitation import staircase as staircase
@@ -68,19 +63,6 @@ from armrig.models.model_file import load_fit as load_fit
 from armrig.physics.grey_box.estimate import greybox as greybox
 from armrig.physics.grey_box.fit import GreyFit as GreyFit
 from armrig.physics.grey_box.split_study import split_study as split_study
-from armrig.physics.integrators.accuracy import convergence as convergence
-from armrig.physics.integrators.accuracy import recommend_step as recommend_step
-from armrig.physics.integrators.accuracy import sinusoid as sinusoid
-from armrig.physics.integrators.stability import stability_limit as stability_limit
-from armrig.physics.integrators.stepping import exact as exact
-from armrig.physics.integrators.stepping import integrate as integrate
-from armrig.physics.step_response import characteristics as characteristics
-from armrig.physics.step_response import step_sensitivities as step_sensitivities
-from armrig.physics.systems import ArmParameters as ArmParameters
-from armrig.physics.systems import arm as arm
-from armrig.physics.systems import chassis as chassis
-from armrig.physics.systems import physical_model as physical_model
-from armrig.physics.systems import rehearse as rehearse
 from armrig.recordings.files.catalogue import Catalogue as Catalogue
 from armrig.recordings.files.catalogue import catalogue as catalogue
 from armrig.recordings.files.loading import example_recording as example_recording

@@ -40,9 +40,9 @@ def draw(name: str, size: tuple[float, float], *plots: Callable[[Axes], Axes]) -
 
 def main() -> None:
     """Draw all of them."""
-    p = armrig.ArmParameters()
+    p = armrig.physics.ArmParameters()
     A, B, _ = arm_matrices(p)
-    problem = armrig.sinusoid(A, B, amplitude=2.0, omega=5.0)
+    problem = armrig.physics.sinusoid(A, B, amplitude=2.0, omega=5.0)
     cases = {
         "handout": p,
         "$J_1$ doubled": replace(p, J_1=2 * p.J_1),
@@ -65,7 +65,9 @@ def main() -> None:
         "integrators-error.svg",
         (11, 4.2),
         lambda ax: plot_solution(problem, 0.02, state=2, label=r"$\dot\theta_1$ [rad/s]", ax=ax),
-        lambda ax: plot_convergence([armrig.convergence(problem, m) for m in METHODS], ax=ax),
+        lambda ax: plot_convergence(
+            [armrig.physics.convergence(problem, m) for m in METHODS], ax=ax
+        ),
     )
 
 

@@ -64,7 +64,7 @@ def main() -> None:
             for name in ("estimation", "validation", "chassis")
         )
     fit = armrig.oe(estimation, nb=4, nf=4, integrator=True)
-    physics = armrig.physical_model(ArmParameters(), validation)
+    physics = armrig.physics.physical_model(ArmParameters(), validation)
     names = ("OE", "physics")
     draw(
         "handout-compare.svg",

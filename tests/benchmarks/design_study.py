@@ -1,9 +1,10 @@
 """Coverage of the bands that a design predicts: 300 identifications of the simulated arm.
 
 Each identification has 30 s with noise, a converter of 10 bits, PWM of 8 bits, and the dead band
-of θ1. `armrig.place` designs a law from each, with fixed poles. The bands of `armrig.check_law`
-are compared with the law on the true arm. `python -m tests.benchmarks.design_study [n] [friction]`:
-the friction, in V at the motor, is in the data alone.
+of θ1. `armrig.control.place` designs a law from each, with fixed poles. The bands of
+`armrig.control.check_law` are compared with the law on the true arm.
+`python -m tests.benchmarks.design_study [n] [friction]`: the friction, in V at the
+motor, is in the data alone.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def record(seed: int, friction_v: float) -> armrig.Signals:
     rng = np.random.default_rng(seed)
     u = armrig.telegraph(N, 0.1, low=0.5, high=4.5, seed=seed)
     u = np.round(u * 51) / 51
-    A, B, C = arm_matrices(armrig.ArmParameters())
+    A, B, C = arm_matrices(armrig.physics.ArmParameters())
     substeps = _SUBSTEPS if friction_v else 1  # without friction, the held input is exact
     Phi, Gamma = zero_order_hold(A, B, Ts / substeps)
     x, y = np.zeros(4), np.zeros((N, 2))
@@ -58,7 +59,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)  # in the background, too
     n = int(sys.argv[1]) if len(sys.argv) > 1 else 300
     friction_v = float(sys.argv[2]) if len(sys.argv) > 2 else 0.0
-    true = design_model(armrig.arm(armrig.ArmParameters()), Ts=Ts)
+    true = design_model(armrig.physics.arm(armrig.physics.ArmParameters()), Ts=Ts)
     names = ("Ms", "phase_deg", "overshoot", "settling")
     inside, widths = {x: [] for x in names}, {x: [] for x in names}
     unstable = promised = refused = 0
@@ -69,11 +70,11 @@ def main() -> None:
             data = record(seed, friction_v)
             fit = armrig.oe(data, nb=[[4], [3]], nf=3, integrator="theta_1", shared="denominator")
             try:
-                law = armrig.place(fit, POLES)
+                law = armrig.control.place(fit, POLES)
             except armrig.InputError:
                 refused += 1
                 continue
-            check = armrig.check_law(law, fit, draws=DRAWS, height=HEIGHT)
+            check = armrig.control.check_law(law, fit, draws=DRAWS, height=HEIGHT)
             matrices = LawMatrices.of(law, ["theta_1", "alpha"])
             m = margins(matrices, true.plant, Ts)
             steps = _steps(law, true, close_loop(matrices, [true.plant]), HEIGHT)

@@ -1,9 +1,10 @@
 """Deviation of the emulated rig's true output from the prediction of its closed loop.
 
 For each seed, a rig is recorded in virtual time, identified, and controlled by a law of this model.
-The prediction of `armrig.compare_loop` is compared with the true output of the emulator, without
-the noise of the converter. `python -m tests.benchmarks.loop_study [seeds] [arm|friction|heater …]`
-prints a line for each run: deviation in percent of the step, and overshoot, true and predicted.
+The prediction of `armrig.control.compare_loop` is compared with the true output of the emulator,
+without the noise of the converter.
+`python -m tests.benchmarks.loop_study [seeds] [arm|friction|heater …]` prints a line for
+each run: deviation in percent of the step, and overshoot, true and predicted.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ def _arm(friction_v: float) -> Case:
         description=None,
         u=lambda seed: armrig.telegraph(3000, 0.1, low=0.5, high=4.5, seed=seed),
         fit=lambda run: armrig.oe(run.signals(), integrator="theta_1", **orders),
-        law=lambda fit: armrig.place(fit, POLES),
+        law=lambda fit: armrig.control.place(fit, POLES),
         reference=(2.0, 4.0, 150),
         true=lambda state: state[0],
         is_rate=True,
@@ -75,7 +76,7 @@ def _heater() -> Case:
     offset = rig.model.offset[0]
 
     def law(fit: Fit) -> ControlLaw:
-        return armrig.pid(fit, time_constant=60, rig=rig)
+        return armrig.control.pid(fit, time_constant=60, rig=rig)
 
     return Case(
         Ts=1.0,
@@ -99,7 +100,9 @@ def _tank() -> Case:
 
     def law(fit: Fit) -> ControlLaw:
         # The linear model of the operating point is not that of an empty tank.
-        return msgspec.structs.replace(armrig.pid(fit, time_constant=30, rig=rig), monitor=None)
+        return msgspec.structs.replace(
+            armrig.control.pid(fit, time_constant=30, rig=rig), monitor=None
+        )
 
     return Case(
         Ts=1.0,
@@ -179,7 +182,7 @@ def study(case: Case, seed: int, folder: Path) -> tuple[float, float, float]:
     request = ControlRequest(lease=LEASE, n=0, law=law, reference=reference, unmonitored=True)
     path = rig.record(request)
     recording = armrig.load(path)
-    found = armrig.compare_loop(recording, fit, draws=0)
+    found = armrig.control.compare_loop(recording, fit, draws=0)
     true = _aligned(np.array(seen), recording[recording.first])
     z = _rate(true, case.Ts) if case.is_rate else true
     after = slice(length - 50, None)

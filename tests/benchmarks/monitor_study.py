@@ -83,7 +83,7 @@ def _arm(Ts: float = 0.01) -> Rig:
         return holds.tolist()
 
     return Rig(
-        law=armrig.place(fit, design_study.POLES),
+        law=armrig.control.place(fit, design_study.POLES),
         described=builtin("arm"),
         plant=plant,
         reference=reference,
@@ -132,7 +132,7 @@ def _lag(
         return [rest] * begun + [rest + 20.0] * (N - begun)
 
     return Rig(
-        law=armrig.pid(model, time_constant=T / 4, rig=described, y0=rest, u0=0.0),
+        law=armrig.control.pid(model, time_constant=T / 4, rig=described, y0=rest, u0=0.0),
         described=described,
         plant=plant,
         reference=reference,

@@ -152,7 +152,9 @@ def _bj(seed: int) -> MultivariablePlant:
 
 
 def _arm(seed: int) -> MultivariablePlant:
-    system = armrig.arm(drawn_arm(np.random.default_rng([seed, 4])))[["theta_1", "alpha"], :]
+    system = armrig.physics.arm(drawn_arm(np.random.default_rng([seed, 4])))[
+        ["theta_1", "alpha"], :
+    ]
     sampled = control.c2d(system, ARM_TS)
     numerators, whole = ss2tf(sampled.A, sampled.B, sampled.C, sampled.D)
     # The integrator divides the denominator, and the numerator of alpha.

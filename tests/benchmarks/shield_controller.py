@@ -62,7 +62,7 @@ print("recorded as", set(history[:{_SATURATED}, 4].tolist()), "of", history.shap
 """
 _OURS = """
 import sys, armrig
-law = armrig.load_law(sys.argv[1])
+law = armrig.control.load_law(sys.argv[1])
 with armrig.Rig("1") as rig:
     rig.arm("a benchmark", Ts=0.02)
     reference = [(0.5, 9.3)[k // 100 % 2] for k in range(int(sys.argv[2]))]
@@ -146,8 +146,8 @@ def measure_theirs(python: str, seconds: float) -> None:
 
 def measure_ours(priority: int, seconds: float) -> None:
     """Print the figures of a law of armrig; `priority` 0 is that of an ordinary program."""
-    arm = armrig.arm(armrig.ArmParameters())
-    law = armrig.place(arm, [-17 + 17j, -17 - 17j, -24.5], rate=True, Ts=Ts)
+    arm = armrig.physics.arm(armrig.physics.ArmParameters())
+    law = armrig.control.place(arm, [-17 + 17j, -17 - 17j, -24.5], rate=True, Ts=Ts)
     name = f"armrig, priority {priority}"
     with tempfile.TemporaryDirectory() as folder, two_busy_programs():
         path, settings = Path(folder) / "law.json", Path(folder) / "rig.toml"

@@ -171,7 +171,9 @@ def checked_law() -> LawCheck:
     """Return the check of a law of a short record."""
     data = second_order(N=400)
     fit = armrig.oe(data, nb=2, nf=2)
-    return armrig.check_law(armrig.pid(fit, time_constant=10 * fit.Ts), fit, draws=20)
+    return armrig.control.check_law(
+        armrig.control.pid(fit, time_constant=10 * fit.Ts), fit, draws=20
+    )
 
 
 def compared_loop(draws: NDArray[np.float64]) -> LoopComparison:

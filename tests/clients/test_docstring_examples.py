@@ -94,8 +94,9 @@ def test_a_public_name_has_an_example() -> None:
     """`help(armrig.oe)` and `help(armrig.Fit.save)` show how to call the function."""
     without = [
         full_name
-        for name in armrig.__all__
-        for full_name, value in _documented(name, getattr(armrig, name))
+        for package in (armrig, armrig.control, armrig.physics)
+        for name in package.__all__
+        for full_name, value in _documented(name, getattr(package, name))
         if ">>> " not in (value.__doc__ or "")
     ]
 

@@ -16,7 +16,7 @@ Y = np.convolve(U, 0.1 * 0.9 ** np.arange(60))[:400] + 0.01 * RNG.standard_norma
 DATA = armrig.Dataset(u=U, y=Y, Ts=0.01)
 OTHER = armrig.Dataset(u=U, y=Y, Ts=0.02)
 FIT = armrig.arx(DATA, na=2, nb=2)
-P = armrig.ArmParameters()
+P = armrig.physics.ArmParameters()
 A, B = np.array([[0.0, 1.0], [0.0, -5.0]]), np.array([[0.0], [5.0]])
 
 
@@ -118,14 +118,24 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
     ("residuals(data, fit)", lambda: a.residuals(DATA, FIT), TypeError, "residuals(fit, data)"),
     # Physics.
     ("free=('J1',)", lambda: a.greybox(DATA, free=("J1",)), ValueError, "is none of J_1, J_2"),
-    ("model='chassis'", lambda: a.greybox(DATA, model="chassis"), TypeError, "such as armrig.arm"),
+    (
+        "model='chassis'",
+        lambda: a.greybox(DATA, model="chassis"),
+        TypeError,
+        "such as armrig.physics.arm",
+    ),
     ("model=chassis(p)", lambda: a.greybox(DATA, model=a.chassis(P)), TypeError, "without parenth"),
-    ("fixed={}", lambda: a.greybox(DATA, fixed={}), TypeError, "armrig.ArmParameters(J_1=0.0017)"),
+    (
+        "fixed={}",
+        lambda: a.greybox(DATA, fixed={}),
+        TypeError,
+        "armrig.physics.ArmParameters(J_1=0.0017)",
+    ),
     ("split_study(parts=3)", lambda: a.split_study(DATA, parts=3), TypeError, "parts=(1, 2, 4)"),
     ("replace(p, J1=)", lambda: replace(P, **{"J1": 1.0}), TypeError, "did you mean J_1?"),
     ("replace(p, J_1='1')", lambda: replace(P, J_1=a and "1"), TypeError, "in SI units"),
     ("arm()", lambda: a.arm(), TypeError, "arm needs p: arm(p)"),
-    ("arm({})", lambda: a.arm({}), TypeError, "armrig.ArmParameters()"),
+    ("arm({})", lambda: a.arm({}), TypeError, "armrig.physics.ArmParameters()"),
     ("physical_model(p)", lambda: a.physical_model(P), TypeError, "physical_model(p, data)"),
     ("integrate(u=0.5)", lambda: a.integrate(A, B, 1, [0, 0], 1, 9), TypeError, "lambda t: 2.5"),
     ("method='euler'", lambda: a.stability_limit(A, "euler"), ValueError, "none of forward_euler"),

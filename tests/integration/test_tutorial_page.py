@@ -75,7 +75,9 @@ def test_every_line_that_needs_no_rig_prints_what_the_page_shows(
                 assert main(shlex.split(_shorter(line))[1:]) == 0, line
                 commands += 1
             if line.startswith(CONTROL):
-                loop = ControlRequest(lease=LEASE, n=0, law=armrig.load_law("law.json"), **STEP)
+                loop = ControlRequest(
+                    lease=LEASE, n=0, law=armrig.control.load_law("law.json"), **STEP
+                )
                 VirtualService(Config(), recorded, seed=1).record(loop)
         said = capsys.readouterr()
         printed += [*said.out.splitlines(), *said.err.splitlines()]
@@ -146,8 +148,8 @@ def test_every_line_that_needs_a_rig_is_a_valid_command(lab: Lab) -> None:
             if line.startswith(INSTALLED) or line.split()[1] not in LIVE:
                 continue
             if line == CONTROL:
-                arm = armrig.arm(armrig.ArmParameters())
-                law = armrig.place(arm, [-18 + 18j, -18 - 18j, -42], rate=True, Ts=0.01)
+                arm = armrig.physics.arm(armrig.physics.ArmParameters())
+                law = armrig.control.place(arm, [-18 + 18j, -18 - 18j, -42], rate=True, Ts=0.01)
                 Path("law.json").write_bytes(law.text)
             if line.split()[1] == "lab":
                 lab.start(line)

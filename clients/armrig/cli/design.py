@@ -177,7 +177,7 @@ def pid(
 
     options = {"time_constant": time_constant, "ms": ms, "derivative": derivative}
     options |= {"filter_time": filter_time, "weight": weight}
-    _design(armrig.pid, model, output, options, common, replace(out, plot=plot))
+    _design(armrig.control.pid, model, output, options, common, replace(out, plot=plot))
 
 
 @design.add("design place model.json --pole=-18+18j --pole=-42 -o law.json", "place")
@@ -207,7 +207,7 @@ def place(
     if not poles:
         raise typer.BadParameter("give the poles of the closed loop, such as --pole=-18+18j")
     options = {"poles": poles, "observer": _complex(observer, "--observer")}
-    _design(armrig.place, model, output, options, common, replace(out, plot=plot))
+    _design(armrig.control.place, model, output, options, common, replace(out, plot=plot))
 
 
 @design.add("design lqg model.json --effort 0.1 -o law.json", "lqg")
@@ -234,7 +234,7 @@ def lqg(
     import armrig
 
     options = {"effort": effort, "input_noise": input_noise, "drift": drift}
-    _design(armrig.lqg, model, output, options, common, replace(out, plot=plot))
+    _design(armrig.control.lqg, model, output, options, common, replace(out, plot=plot))
 
 
 @design.add("design check law.json --model model.json", "check")
@@ -262,13 +262,13 @@ def check(
     from armrig.control.loop_comparison import model_path
 
     check_plot(plot, [law])
-    control_law = armrig.load_law(law)
+    control_law = armrig.control.load_law(law)
     files = control_law.design.get("files")
     named = files.get("rig") if isinstance(files, dict) else None
     path = model or Path(model_path(control_law))
     rig = rig_file or (Path(str(named)) if named else None)
     fit = armrig.load_fit(path)
-    judged = armrig.check_law(
+    judged = armrig.control.check_law(
         control_law, fit, draws=draws, rig=_rig(rig), validation=_data(validate, fit)
     )
     _show(judged, control_law, replace(out, plot=plot))
@@ -298,7 +298,7 @@ def compare(
     if path:
         inform(f"the model is {path}", dim=True)
     with spinner("predicting"):
-        comparison = armrig.compare_loop(
+        comparison = armrig.control.compare_loop(
             recording, armrig.load_fit(path) if path else None, draws=draws
         )
     replace(out, plot=plot).show(
@@ -337,7 +337,7 @@ def _design(
     with spinner("designing"):
         law: ControlLaw = method(fit, **options, **common.of_design(), validation=data)
         law = msgspec.structs.replace(law, design=law.design | facts)
-        judged = armrig.check_law(
+        judged = armrig.control.check_law(
             law, fit, draws=common.draws, validation=data, **common.of_model()
         )
     _show(judged, law, out, output)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 def _check_units(settings: list[str] | None) -> list[str] | None:
     """Return the parameters unchanged; print the parameters that are probably not in SI units."""
     for name, value in _values(settings).items():
-        handout = getattr(armrig.ArmParameters(), name)
+        handout = getattr(armrig.physics.ArmParameters(), name)
         if handout and value > 0 and not 1 / _MAX_RATIO <= value / handout <= _MAX_RATIO:
             tell(
                 f"--set {name}={value:g}: this is {digits(value / handout, 2)} times the value of "
@@ -73,19 +73,19 @@ _MAX_RATIO = 100.0
 """Ratio of a parameter to the handout's value, or the inverse, above which a note is printed."""
 
 
-def parameters(settings: list[str] | None) -> armrig.ArmParameters:
+def parameters(settings: list[str] | None) -> armrig.physics.ArmParameters:
     """Return the parameters of the handout with the given changes."""
-    return replace(armrig.ArmParameters(), **_values(settings))
+    return replace(armrig.physics.ArmParameters(), **_values(settings))
 
 
-def cases(settings: list[str] | None) -> dict[str, armrig.ArmParameters]:
+def cases(settings: list[str] | None) -> dict[str, armrig.physics.ArmParameters]:
     """Return the parameters by case (handout 2.3): no change, each change alone, all changes."""
     from armrig.physics.systems import beside_the_handout
 
     return beside_the_handout(parameters(settings))
 
 
-def physics_beside(settings: list[str] | None) -> dict[str, armrig.ArmParameters]:
+def physics_beside(settings: list[str] | None) -> dict[str, armrig.physics.ArmParameters]:
     """Return the physical models to compare: the handout's model, and the changed model if any."""
     from armrig.physics.systems import HANDOUT
 
@@ -103,7 +103,7 @@ def changes(settings: list[str] | None) -> str:
 
 
 def _values(settings: list[str] | None) -> dict[str, float]:
-    names = [f.name for f in fields(armrig.ArmParameters)]
+    names = [f.name for f in fields(armrig.physics.ArmParameters)]
     values: dict[str, float] = {}
     for text in settings or ():
         name, _, number = text.partition("=")
@@ -116,7 +116,9 @@ def _values(settings: list[str] | None) -> dict[str, float]:
 
             unit = f", in {UNITS[name]}" if UNITS[name] else ""
             msg = f"--set {text}: give the number alone{unit}, such as "
-            raise typer.BadParameter(f"{msg}--set {name}={getattr(armrig.ArmParameters(), name):g}")
+            raise typer.BadParameter(
+                f"{msg}--set {name}={getattr(armrig.physics.ArmParameters(), name):g}"
+            )
         if name not in names or value is None:
             raise typer.BadParameter(
                 f"--set {text}: give NAME=VALUE, such as J_1=0.0017; names are {', '.join(names)}"
@@ -381,7 +383,7 @@ def simulate(
     physics = physics_beside(settings) if described.arm else {}
     saved = map(armrig.load_fit, model or ())
     fits: list[Fit] = [fit if (fit.ny, fit.nu) == (1, 1) else fit[data.output] for fit in saved]
-    fits += [armrig.physical_model(p, data) for p in physics.values()]
+    fits += [armrig.physics.physical_model(p, data) for p in physics.values()]
     labels = [*(path.stem for path in model or ()), *physics]
     with spinner("simulating"):
         table = armrig.compare(data, *fits, labels=labels)
@@ -411,7 +413,7 @@ def _rig(recording: armrig.Recording, model: Rig | None) -> tuple[Rig, Any]:
             f"{recording.path}: --model {model}, but {evidence}; leave --model out, or record the "
             f"{model} (`armrig collect greybox` is for the chassis alone)"
         )
-    return seen, armrig.arm if moves else armrig.chassis
+    return seen, armrig.physics.arm if moves else armrig.physics.chassis
 
 
 def _cuts(text: str) -> tuple[int, ...]:
@@ -451,7 +453,7 @@ def model(
     together.
     """
     compared = cases(settings)
-    predictions = {name: armrig.characteristics(p) for name, p in compared.items()}
+    predictions = {name: armrig.physics.characteristics(p) for name, p in compared.items()}
     out.show(
         facts=lambda: {"models": {name: _model_facts(one) for name, one in predictions.items()}},
         say=lambda: _say_model(predictions, settings, verbose=out.verbose),
@@ -478,7 +480,7 @@ def _say_model(
         say(f"\n{last.explain()}")
 
 
-def _simulate_step(p: armrig.ArmParameters) -> dict[str, float]:
+def _simulate_step(p: armrig.physics.ArmParameters) -> dict[str, float]:
     """Return the slope at t = 0 in rad/s², the last speed in rad/s and its time after a step."""
     import numpy as np
 
@@ -503,7 +505,7 @@ def _say_later_rises(predictions: dict[str, Characteristics], settings: list[str
             say(f"63 % time of {label}: {rises}.")
 
 
-def _state_space(p: armrig.ArmParameters) -> str:
+def _state_space(p: armrig.physics.ArmParameters) -> str:
     """Return x' = A x + B u, with a line for each state."""
     from armrig_core.rig.arm import arm_matrices
 
@@ -545,7 +547,7 @@ def _model_facts(p: Characteristics) -> dict[str, Any]:
     }
 
 
-def _model_figures(compared: dict[str, armrig.ArmParameters]) -> dict[str, Draw]:
+def _model_figures(compared: dict[str, armrig.physics.ArmParameters]) -> dict[str, Draw]:
     from armrig.physics.figures import plot_physical_step, plot_sensitivities
 
     return {"step": partial(plot_physical_step, compared), "sensitivities": plot_sensitivities}
@@ -575,8 +577,8 @@ def integrate(
     """
     from armrig_core.rig.arm import arm_matrices
 
-    A, B, _ = arm_matrices(armrig.ArmParameters())
-    problem = armrig.sinusoid(A, B, amplitude=amplitude, omega=omega, span=span)
+    A, B, _ = arm_matrices(armrig.physics.ArmParameters())
+    problem = armrig.physics.sinusoid(A, B, amplitude=amplitude, omega=omega, span=span)
     rows, advice = _solve(problem, method or (), h or (), tolerance)
 
     def say_after() -> None:
@@ -607,14 +609,14 @@ def _solve(
         _check_step(h, problem)
     with spinner("integrating"):
         if steps:
-            limits = {m: armrig.stability_limit(problem.A, m) for m in names}
+            limits = {m: armrig.physics.stability_limit(problem.A, m) for m in names}
             return [
                 MethodAccuracy(method=m, h=h, limit=limits[m], error=problem.error(h, m))
                 for m in names
                 for h in steps
             ], None
         arguments = fields_of(problem, "omega amplitude span")
-        advice = armrig.recommend_step(
+        advice = armrig.physics.recommend_step(
             problem.A, problem.B, tolerance=tolerance, methods=names, **arguments
         )
     return sorted(advice.rows, key=lambda row: names.index(row.method)), advice

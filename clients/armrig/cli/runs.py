@@ -422,7 +422,7 @@ def control(
     """
     from armrig.excitation.reference import profile_of, reference_input
 
-    law = armrig.load_law(law_file)
+    law = armrig.control.load_law(law_file)
     Ts = law.Ts_us / 1e6
     if run.Ts is not None and round(run.Ts * 1e6) != law.Ts_us:
         raise InputError(f"--Ts {run.Ts:g}: the law has Ts = {Ts:g} s; leave --Ts out")
@@ -534,11 +534,11 @@ def _from_file(
     named = is_named(file)
     arguments: Any = {"input": _input_of(run)} if named else {}
     if run.Ts is not None:
-        armrig.from_csv(file, run.Ts, **arguments)
+        armrig.input_from_file(file, run.Ts, **arguments)
     details = {"input": "csv", "file": file.name}
 
     def make(_: int, Ts: float) -> Any:
-        return armrig.from_csv(file, Ts, **arguments)
+        return armrig.input_from_file(file, Ts, **arguments)
 
     return Played(experiment, make, details, None, is_bare=not named)
 

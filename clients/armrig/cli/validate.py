@@ -217,7 +217,7 @@ def compare(
         of_one = data.signals().dataset()
         models = [
             *models,
-            *((name, armrig.physical_model(p, of_one)) for name, p in changed.items()),
+            *((name, armrig.physics.physical_model(p, of_one)) for name, p in changed.items()),
         ]
     names, fits = [name for name, _ in models], [fit for _, fit in models]
     table = armrig.compare(data, *fits, horizon=horizon, labels=names)

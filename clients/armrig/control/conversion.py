@@ -140,7 +140,7 @@ def control_law(
     >>> import control
     >>> from armrig_core.rig.description import builtin
     >>> C = control.tf([0.2, -0.199], [1, -1], 1.0)
-    >>> law = armrig.control_law(C, outputs="T1", reference=(23, 60), rig=builtin("heater"),
+    >>> law = armrig.control.control_law(C, outputs="T1", reference=(23, 60), rig=builtin("heater"),
     ...                          unit="V", u0=0.5, y0=28)
     >>> law.order, law.x0, law.u0
     (2, (0.0, 28.0), 0.5)

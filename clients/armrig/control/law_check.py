@@ -64,9 +64,9 @@ class LawStepResponse:
 
         Examples
         --------
-        >>> arm = armrig.arm(armrig.ArmParameters())
-        >>> law = armrig.place(arm, [-18+18j, -18-18j, -42], rate=True, Ts=0.01)
-        >>> armrig.check_law(law, arm).steps.overshoot().round(1)
+        >>> arm = armrig.physics.arm(armrig.physics.ArmParameters())
+        >>> law = armrig.control.place(arm, [-18+18j, -18-18j, -42], rate=True, Ts=0.01)
+        >>> armrig.control.check_law(law, arm).steps.overshoot().round(1)
         array([...])
         """
         return np.asarray(np.maximum(self.z.max(axis=1) / self.height - 1, 0.0) * 100)
@@ -78,9 +78,9 @@ class LawStepResponse:
 
         Examples
         --------
-        >>> arm = armrig.arm(armrig.ArmParameters())
-        >>> law = armrig.place(arm, [-18+18j, -18-18j, -42], rate=True, Ts=0.01)
-        >>> armrig.check_law(law, arm).steps.settling().round(2)
+        >>> arm = armrig.physics.arm(armrig.physics.ArmParameters())
+        >>> law = armrig.control.place(arm, [-18+18j, -18-18j, -42], rate=True, Ts=0.01)
+        >>> armrig.control.check_law(law, arm).steps.settling().round(2)
         array([0.22])
         """
         outside = np.abs(self.z / self.height - 1) > _SETTLED
@@ -137,9 +137,9 @@ class LawCheck:
 
         Examples
         --------
-        >>> arm = armrig.arm(armrig.ArmParameters())
-        >>> law = armrig.place(arm, [-18+18j, -18-18j, -42], rate=True, Ts=0.01)
-        >>> low, high = armrig.check_law(law, arm).band("phase_deg")
+        >>> arm = armrig.physics.arm(armrig.physics.ArmParameters())
+        >>> law = armrig.control.place(arm, [-18+18j, -18-18j, -42], rate=True, Ts=0.01)
+        >>> low, high = armrig.control.check_law(law, arm).band("phase_deg")
         >>> round(low), round(high)
         (81, 81)
         """
@@ -236,7 +236,7 @@ def check_law(
     Parameters
     ----------
     law : ControlLaw
-        Law of `armrig.pid`, `armrig.place`, `armrig.lqg` or a file.
+        Law of `armrig.control.pid`, `armrig.control.place`, `armrig.control.lqg` or a file.
     model : Fit, GreyFit or python-control system
         Model that the law is judged on. If the law was designed on another one, this is a doubt.
     draws : int
@@ -244,7 +244,7 @@ def check_law(
     height : float, optional
         Height of the step of r; a tenth of the range of r by default.
     rig, u0, y0, validation
-        As in `armrig.place`.
+        As in `armrig.control.place`.
 
     Raises
     ------
@@ -253,9 +253,9 @@ def check_law(
 
     Examples
     --------
-    >>> arm = armrig.arm(armrig.ArmParameters())
-    >>> law = armrig.place(arm, [-18+18j, -18-18j, -42], rate=True, Ts=0.01)
-    >>> check = armrig.check_law(law, arm)
+    >>> arm = armrig.physics.arm(armrig.physics.ArmParameters())
+    >>> law = armrig.control.place(arm, [-18+18j, -18-18j, -42], rate=True, Ts=0.01)
+    >>> check = armrig.control.check_law(law, arm)
     >>> round(check.nominal.Ms, 2), round(check.worst_Ms, 2)
     (1.34, 1.47)
     """

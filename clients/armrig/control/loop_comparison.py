@@ -264,7 +264,7 @@ def compare_loop(
     rig : Description, optional
         Description of the rig; by default that of the recording.
     u0, y0, validation
-        As in `armrig.place`.
+        As in `armrig.control.place`.
 
     Raises
     ------
@@ -273,8 +273,9 @@ def compare_loop(
 
     Examples
     --------
-    >>> path = armrig.example_recording().path
-    >>> armrig.compare_loop(armrig.load(path), armrig.arm(armrig.ArmParameters()))
+    >>> recording = armrig.load(armrig.example_recording().path)
+    >>> model = armrig.physics.arm(armrig.physics.ArmParameters())
+    >>> armrig.control.compare_loop(recording, model)
     Traceback (most recent call last):
         ...
     armrig_core.errors.InputError: ... is no run in control: it has no law

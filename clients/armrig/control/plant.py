@@ -145,8 +145,8 @@ def design_model(
 ) -> DesignModel:
     """Return a model for design; refuse a model that no law can be designed on.
 
-    The arguments are those of `armrig.pid`. With an operating point, the zeros of the other outputs
-    are their values at the voltage at which `output` is 0.
+    The arguments are those of `armrig.control.pid`. With an operating point, the zeros of the other
+    outputs are their values at the voltage at which `output` is 0.
     """
     if isinstance(model, Fit):
         facts = _of_fit(model, Ts, rig)

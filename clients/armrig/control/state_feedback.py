@@ -116,8 +116,8 @@ def place(
 
     Examples
     --------
-    >>> arm = armrig.arm(armrig.ArmParameters())
-    >>> law = armrig.place(arm, [-18+18j, -18-18j, -42], rate=True, Ts=0.01)
+    >>> arm = armrig.physics.arm(armrig.physics.ArmParameters())
+    >>> law = armrig.control.place(arm, [-18+18j, -18-18j, -42], rate=True, Ts=0.01)
     >>> law.order, law.reference.name
     (5, 'velocity')
     """
@@ -167,11 +167,11 @@ def lqg(
     Parameters
     ----------
     model : Fit, GreyFit or python-control system
-        As in `armrig.place`.
+        As in `armrig.control.place`.
     effort : float
         Cost of the input; a larger value gives a slower law.
     output, rate, input_noise, drift, reference, u0, y0, rig, Ts, validation
-        As in `armrig.place`.
+        As in `armrig.control.place`.
 
     Raises
     ------
@@ -184,8 +184,8 @@ def lqg(
 
     Examples
     --------
-    >>> arm = armrig.arm(armrig.ArmParameters())
-    >>> law = armrig.lqg(arm, effort=0.1, rate=True, Ts=0.01)
+    >>> arm = armrig.physics.arm(armrig.physics.ArmParameters())
+    >>> law = armrig.control.lqg(arm, effort=0.1, rate=True, Ts=0.01)
     >>> law.order, law.design["method"]
     (5, 'lqg')
     """

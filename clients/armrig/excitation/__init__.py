@@ -12,7 +12,7 @@ allowed.
 """
 
 from armrig.excitation.binary import prbs, telegraph, white_noise
-from armrig.excitation.from_file import from_csv
+from armrig.excitation.from_file import input_from_file
 from armrig.excitation.levels import HIGHEST_V, LOWEST_V, staircase, step, within
 from armrig.excitation.sines import chirp, multisine
 
@@ -20,7 +20,7 @@ __all__ = [
     "HIGHEST_V",
     "LOWEST_V",
     "chirp",
-    "from_csv",
+    "input_from_file",
     "multisine",
     "prbs",
     "staircase",

@@ -27,7 +27,7 @@ MAX_TIME_ERROR = 0.01  # share of Ts; the rounding of times in a text file is sm
 
 
 @with_argument_checks
-def from_csv(
+def input_from_file(
     path: str | Path,
     Ts: float,
     *,
@@ -68,7 +68,7 @@ def from_csv(
     >>> import armrig, numpy as np
     >>> rows = [[0, 1], [0.01, 1], [0.02, 4]]
     >>> np.savetxt("mine.csv", rows, delimiter=",", header="t,u", comments="")
-    >>> armrig.from_csv("mine.csv", Ts=0.01)
+    >>> armrig.input_from_file("mine.csv", Ts=0.01)
     array([1., 1., 4.])
     """
     return from_text(_text(path), Ts, name=path, low=low, high=high, input=input)
@@ -97,7 +97,7 @@ def from_text(
     high: float = HIGHEST_V,
     input: Input = _U,
 ) -> Vector:
-    """Return the input (N,) from `text`, the content of the file `name`; see `from_csv`."""
+    """Return the input (N,) from `text`, the content of the file `name`; see `input_from_file`."""
     require_levels(low=low, high=high)
     require_numbers(Ts=Ts)
     interval(Ts)

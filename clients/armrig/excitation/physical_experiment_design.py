@@ -43,7 +43,7 @@ def predicted_parameter_std(
     ----------
     model : callable
         Function that returns a continuous-time state-space model for given ArmParameters:
-        `armrig.arm` or `armrig.chassis`.
+        `armrig.physics.arm` or `armrig.physics.chassis`.
     u : array_like, shape (N,), or Dataset
         Planned input, in V.
     Ts : float
@@ -66,8 +66,9 @@ def predicted_parameter_std(
     --------
     >>> import armrig
     >>> u = armrig.telegraph(1000, 0.05)
+    >>> arm, free = armrig.physics.arm, ("J_1", "K_lin")
     >>> found = armrig.predicted_parameter_std(
-    ...     armrig.arm, u, Ts=0.01, noise_variance=1e-5, free=("J_1", "K_lin"), output="alpha"
+    ...     arm, u, Ts=0.01, noise_variance=1e-5, free=free, output="alpha"
     ... )
     >>> print(found)
     predicted for 1000 samples in 10 s:

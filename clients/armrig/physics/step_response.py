@@ -90,7 +90,7 @@ def characteristics(p: ArmParameters | None = None) -> Characteristics:
     Examples
     --------
     >>> import armrig
-    >>> found = armrig.characteristics()
+    >>> found = armrig.physics.characteristics()
     >>> print(f"{found.steady_speed:.4f} rad/s per V, {found.initial_slope:.2f} rad/s² per V")
     1.8623 rad/s per V, 98.40 rad/s² per V
     >>> abs(found.poles).round(1)
@@ -177,8 +177,8 @@ def step_sensitivities(
     The inertia J_1 has no effect on the steady speed.
 
     >>> import armrig, numpy as np
-    >>> t = np.linspace(0, 1, 101)
-    >>> effect = armrig.step_sensitivities(armrig.ArmParameters(), t, names=["J_1", "K_m"])
+    >>> p, t = armrig.physics.ArmParameters(), np.linspace(0, 1, 101)
+    >>> effect = armrig.physics.step_sensitivities(p, t, names=["J_1", "K_m"])
     >>> for name, derivative in effect.items():
     ...     print(f"{name}: {derivative[1]:.2f} rad/s at 0.01 s, {derivative[-1]:.2f} rad/s at 1 s")
     J_1: -0.56 rad/s at 0.01 s, 0.00 rad/s at 1 s

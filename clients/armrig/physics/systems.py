@@ -76,7 +76,7 @@ def arm(p: ArmParameters) -> control.StateSpace:
     Examples
     --------
     >>> import armrig
-    >>> system = armrig.arm(armrig.ArmParameters())
+    >>> system = armrig.physics.arm(armrig.physics.ArmParameters())
     >>> system.input_labels, system.output_labels
     (['u'], ['theta_1', 'alpha'])
     >>> sorted(abs(system.poles()).round(1).tolist())
@@ -107,7 +107,7 @@ def chassis(p: ArmParameters) -> control.StateSpace:
     Examples
     --------
     >>> import armrig
-    >>> system = armrig.chassis(armrig.ArmParameters())
+    >>> system = armrig.physics.chassis(armrig.physics.ArmParameters())
     >>> system.state_labels
     ['theta_1', 'theta_1_rate']
     >>> sorted(abs(system.poles()).round(1).tolist())
@@ -132,7 +132,7 @@ def physical_model(p: ArmParameters, data: Dataset) -> Fit:
     --------
     >>> import armrig
     >>> data = armrig.example_recording().dataset("theta_1")
-    >>> physics = armrig.physical_model(armrig.ArmParameters(), data)
+    >>> physics = armrig.physics.physical_model(armrig.physics.ArmParameters(), data)
     >>> print(armrig.compare(data, physics))
     simulation; initial state and input offset estimated from these data by least squares
       physics  fit   99.99 %  rms 0.0035... rad  velocity fit   83.4... %

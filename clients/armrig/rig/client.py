@@ -329,7 +329,7 @@ class Rig:
         Parameters
         ----------
         law : ControlLaw
-            Law, such as of `armrig.control_law`. Its Ts must be that of `arm`.
+            Law, such as of `armrig.control.control_law`. Its Ts must be that of `arm`.
         reference : array_like, shape (N,)
             Reference at each sample, in the unit of the law and inside its range.
         dead_man : float, default 1
@@ -361,7 +361,7 @@ class Rig:
         A law that adds nothing to a voltage of r volts:
 
         >>> from armrig_core.control.control_law import LawOutput, Reference
-        >>> law = armrig.ControlLaw(
+        >>> law = armrig.control.ControlLaw(
         ...     Ts_us=10_000, outputs=(LawOutput(name="alpha", unit="rad"),),
         ...     reference=Reference(name="u", unit="V", low=0, high=5),
         ...     A=(), B=(), C=(), D=1.0, x0=(), F=((),),
@@ -638,7 +638,7 @@ class Rig:
         Examples
         --------
         >>> from armrig_core.control.control_law import LawOutput, Reference
-        >>> law = armrig.ControlLaw(
+        >>> law = armrig.control.ControlLaw(
         ...     Ts_us=10_000, outputs=(LawOutput(name="alpha", unit="rad"),),
         ...     reference=Reference(name="u", unit="V", low=0, high=5),
         ...     A=(), B=(), C=(), D=1.0, x0=(), F=((),),

@@ -120,8 +120,8 @@ class ComparisonTable:
     def explain(self, *, brief: bool = False) -> str:
         """Return the closest model and the significant differences from the reference, as text.
 
-        The reference is the physical model, `armrig.physical_model(p, data)` (handout, assignment
-        3.4), or else the last model. A brief text contains no causes of the differences.
+        The reference is the physical model, `armrig.physics.physical_model(p, data)` (handout,
+        assignment 3.4), or else the last model. A brief text contains no causes of the differences.
         """
         return self._of_each(lambda rows: explanation(rows, brief=brief))
 

@@ -136,10 +136,10 @@ def rehearse(
     --------
     >>> import armrig
     >>> u = armrig.step(300, low=0.0, high=4.0)
-    >>> found = armrig.rehearse(u, 0.01)
+    >>> found = armrig.physics.rehearse(u, 0.01)
     >>> print(f"{found.revolutions:.1f} turns, alpha up to {found.alpha_rad:.2f} rad")
     3.5 turns, alpha up to 0.29 rad
-    >>> armrig.rehearse(u, 0.01, revolutions=3)
+    >>> armrig.physics.rehearse(u, 0.01, revolutions=3)
     Traceback (most recent call last):
         ...
     armrig_core.errors.InputError: the rehearsal turns theta_1 by up to 3.47 turns: ...

@@ -299,7 +299,7 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             if output.turning and self.F is None and m is None:
                 raise InputError(
                     f"{output.name} turns through a dead band, so the law needs F, its prediction "
-                    "of the output, or a monitor; `armrig.control_law(C, model=…)` adds one"
+                    "of the output, or a monitor; `armrig.control.control_law(C, model=…)` adds one"
                 )
 
     @classmethod

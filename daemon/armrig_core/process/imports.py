@@ -19,11 +19,12 @@ from armrig_core.errors import InputError
 
 @cache
 def homes(package: str) -> dict[str, str]:
-    """Return the module of each public name of a package."""
+    """Return the module of each public name of a package, without the packages inside it."""
     stub = Path(str(sys.modules[package].__file__)).with_suffix(".pyi")
     body = ast.parse(stub.read_text(encoding="utf-8")).body
     imports = (node for node in body if isinstance(node, ast.ImportFrom))
-    return {name.name: str(node.module) for node in imports for name in node.names}
+    outside = (node for node in imports if node.module != package)
+    return {name.name: str(node.module) for node in outside for name in node.names}
 
 
 def public(package: str, name: str) -> Any:

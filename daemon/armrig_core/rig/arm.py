@@ -35,7 +35,7 @@ class ArmParameters:
     --------
     >>> import armrig
     >>> for J_1 in (0.0017, 0.0020):
-    ...     found = armrig.characteristics(armrig.ArmParameters(J_1=J_1))
+    ...     found = armrig.physics.characteristics(armrig.physics.ArmParameters(J_1=J_1))
     ...     print(f"J_1 {J_1}: initial slope {found.initial_slope:.1f} rad/s² per V")
     J_1 0.0017: initial slope 98.4 rad/s² per V
     J_1 0.002: initial slope 83.6 rad/s² per V
@@ -93,8 +93,9 @@ def require_parameters(p: object, name: str = "p") -> None:
     """Raise InputTypeError if `p` is not an `ArmParameters`; `name` is that of the argument."""
     if not isinstance(p, ArmParameters):
         raise InputTypeError(
-            f"{name} is a {type(p).__name__}: give the rig's parameters, armrig.ArmParameters(), "
-            "or other values in SI units, armrig.ArmParameters(J_1=0.0017)"
+            f"{name} is a {type(p).__name__}: give the rig's parameters, "
+            "armrig.physics.ArmParameters(), or other values in SI units, "
+            "armrig.physics.ArmParameters(J_1=0.0017)"
         )
 
 

@@ -182,8 +182,8 @@ def make_control_plan(
     if law.monitor is None and not request.unmonitored:
         raise InputError(
             "the law has no monitor, so a stuck sensor drives the rig to full input: design the "
-            "law by `armrig design`, or give model= to armrig.control_law; unmonitored=True "
-            "(--unmonitored) allows this law"
+            "law by `armrig design`, or give model= to armrig.control.control_law; "
+            "unmonitored=True (--unmonitored) allows this law"
         )
     rehearsal = config.control_rehearsal(
         law, reference, description, start_rad, unstable=request.unstable

@@ -9,6 +9,7 @@ import sys
 import time
 import tomllib
 from contextlib import nullcontext, suppress
+from operator import attrgetter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -63,6 +64,24 @@ def test_every_public_name_can_be_imported() -> None:
     assert armrig.__version__ == VERSION
     assert set(armrig.__all__) < set(dir(armrig))
     assert not hasattr(armrig, "nothing")
+    assert all(getattr(armrig.control, name) is not None for name in armrig.control.__all__)
+    assert all(getattr(armrig.physics, name) is not None for name in armrig.physics.__all__)
+
+
+EARLIER_NAMES = {"SubspaceFit": "Fit", "MultivariableFit": "Fit", "from_csv": "input_from_file"}
+EARLIER_NAMES |= {name: f"control.{name}" for name in armrig.control.__all__}
+EARLIER_NAMES |= {name: f"physics.{name}" for name in armrig.physics.__all__}
+
+
+@pytest.mark.parametrize(("earlier", "present"), EARLIER_NAMES.items())
+def test_an_earlier_name_warns_of_its_end_and_names_the_present_name(
+    earlier: str, present: str
+) -> None:
+    with pytest.warns(DeprecationWarning, match=f"armrig.{earlier} is armrig.{present} now"):
+        meant = getattr(armrig, earlier)
+
+    assert meant is attrgetter(present)(armrig)
+    assert earlier not in dir(armrig)
 
 
 # Python 3.11 raises RuntimeError instead of KeyboardInterrupt in a class body.

@@ -78,7 +78,7 @@ def test_every_option_of_a_collection_reaches_its_plan(
 
 
 def law_file(folder: Path) -> Path:
-    law = armrig.ControlLaw(
+    law = armrig.control.ControlLaw(
         Ts_us=20_000,
         outputs=(LawOutput(name="alpha", unit="rad"),),
         reference=Reference(name="velocity", unit="rad/s", low=0, high=8),
@@ -110,7 +110,7 @@ def test_every_option_of_a_control_run_reaches_its_plan(
 
     [plan] = plans
     assert (plan.Ts, plan.pacing, plan.seconds, plan.dead_man) == (0.02, "exchange", 10.0, 1.0)
-    assert (plan.experiment, plan.law) == ("control-mine", armrig.load_law(file))
+    assert (plan.experiment, plan.law) == ("control-mine", armrig.control.load_law(file))
     assert (plan.unstable, plan.unmonitored) == (True, True)
     levels = {"reference": "staircase", "low": 2.0, "high": 4.0, "levels": 3}
     assert plan.details == levels | {"dither": 0.1, "seed": 7}

@@ -61,7 +61,7 @@ def test_saved_models_and_the_physics_are_compared_at_the_horizon_on_the_part(
     for fit, name in zip(fits, ("good", "poor"), strict=False):
         assert fit.theta.tolist() == armrig.load_fit(here / f"{name}.json").theta.tolist()
     for rig, p in zip(fits[2:], (ArmParameters(), ArmParameters(J_2=0.006)), strict=True):
-        assert rig.F.tolist() == armrig.physical_model(p, data).F.tolist()
+        assert rig.F.tolist() == armrig.physics.physical_model(p, data).F.tolist()
 
 
 def _table(horizon: int | None, **rms: list[float]) -> ComparisonTable:

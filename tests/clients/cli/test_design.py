@@ -54,7 +54,7 @@ def test_the_file_is_the_law_of_the_function(
     command, *options = line.split()
     assert main(["design", command, "model.json", *options, "--draws", "20", "--json"]) == 0
 
-    law = armrig.load_law("law.json")
+    law = armrig.control.load_law("law.json")
     expected = getattr(armrig, design)(model, **named)
     assert (law.A, law.B, law.C, law.D) == (expected.A, expected.B, expected.C, expected.D)
     assert (law.u0, law.x0, law.reference) == (expected.u0, expected.x0, expected.reference)
@@ -82,7 +82,7 @@ def test_a_requirement_is_part_of_the_law(
     line = ["design", "pid", "model.json", "--draws", "20", "--settling", "0.05"]
     assert main(line) == 0
     assert "misses the requirement (5 % settling at most 0.05 s)" in capsys.readouterr().out
-    assert armrig.load_law("law.json").design["requirement"] == {"settling": 0.05}
+    assert armrig.control.load_law("law.json").design["requirement"] == {"settling": 0.05}
 
     assert main([*line, "--overshoot=-1"]) == 1
     assert "--overshoot -1: must be 0 % or more" in capsys.readouterr().err

@@ -36,7 +36,7 @@ def test_the_recommended_step_depends_on_methods_input_and_tolerance(
         calls.append(named)
         raise OperationError("no work")
 
-    monkeypatch.setattr("armrig.recommend_step", work)
+    monkeypatch.setattr("armrig.physics.recommend_step", work)
     given = ["--omega", "5", "--amplitude", "2", "--span", "3", "--tolerance", "0.02"]
 
     assert main(["integrate", *given, "--method", "heun", "--method", "ab2"]) == 1

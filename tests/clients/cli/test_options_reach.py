@@ -47,7 +47,7 @@ WORK = {
     f"report {FILE} --handout": "armrig.report.handout_study.handout_study",
     f"greybox {FILE}": "armrig.greybox",
     f"split {FILE}": "armrig.greybox",
-    "integrate": "armrig.recommend_step",
+    "integrate": "armrig.physics.recommend_step",
     f"identify {FILE} --search": "armrig.search",
     f"check {FILE}": "armrig.open_loop",
     f"linearity {FILE}": "armrig.linearity",

@@ -40,7 +40,7 @@ MODEL = armrig.Fit.of_channel(
 def _heater(C: Any, **options: Any) -> ControlLaw:
     """Return the law of a controller of T1, in V."""
     fields = {"outputs": "T1", "reference": (0, 90), "rig": HEATER, "unit": "V", **options}
-    return armrig.control_law(C, **fields)
+    return armrig.control.control_law(C, **fields)
 
 
 def _step(law: ControlLaw, plant: Any, r: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -229,10 +229,10 @@ def test_fast_modes_stay_where_they_are() -> None:
 def test_a_controller_in_the_unit_of_the_input_drives_the_pin() -> None:
     """TCLab has 25.5 % per volt; limits and operating point are in %, too."""
     options = {"outputs": "T1", "reference": (20, 50), "rig": TCLAB}
-    percent = armrig.control_law(
+    percent = armrig.control.control_law(
         control.tf([5.1, -5.0], [1, -1], 1.0), **options, unit="%", u0=51, hi=76.5, slew=25.5
     )
-    volts = armrig.control_law(
+    volts = armrig.control.control_law(
         control.tf([0.2, -5 / 25.5], [1, -1], 1.0), **options, unit="V", u0=2, hi=3, slew=1
     )
 
@@ -241,16 +241,18 @@ def test_a_controller_in_the_unit_of_the_input_drives_the_pin() -> None:
         np.testing.assert_allclose(getattr(percent, key), getattr(volts, key), atol=1e-12)
     responses = [np.array(law.C) @ np.array(law.B) for law in (percent, volts)]
     np.testing.assert_allclose(*responses, atol=1e-12)
-    given = armrig.control_law(control.tf([5.1, -5.0], [1, -1], 1.0), **options, unit="%", K=[0.1])
+    given = armrig.control.control_law(
+        control.tf([5.1, -5.0], [1, -1], 1.0), **options, unit="%", K=[0.1]
+    )
     assert given.B[0][1] == pytest.approx(2.55)
     names = {"inputs": ["r", "u", "T1"], "outputs": "v"}
     seen = control.ss(0.5, [[0.1, 0.2, 0.3]], 1.0, [[0.4, 0, 0]], 1.0, **names)
-    law = armrig.control_law(seen, **options, unit="%")
+    law = armrig.control.control_law(seen, **options, unit="%")
     # 1 V is 25.5 %: the controller has its own output in %, and sees u in %.
     assert law.B[0][1] * law.C[0] == pytest.approx(0.2)
     assert law.B[0][0] * law.C[0] == pytest.approx(0.1 / 25.5)
     with pytest.raises(InputError, match=r"Q1 is in %, 25.5 % per volt .*unit='V' or unit='%'"):
-        armrig.control_law(PI, **options)
+        armrig.control.control_law(PI, **options)
 
 
 def test_a_law_of_a_heater_reaches_its_reference_in_a_rehearsal() -> None:
@@ -267,7 +269,7 @@ def test_a_law_of_a_heater_reaches_its_reference_in_a_rehearsal() -> None:
 
 def _arm(*names: str) -> Any:
     """Return the arm, sampled, with some of its outputs."""
-    arm = control.ss(armrig.arm(armrig.ArmParameters()))
+    arm = control.ss(armrig.physics.arm(armrig.physics.ArmParameters()))
     rows = ["theta_1", "alpha"]
     at = [rows.index(name) for name in names]
     part = control.ss(arm.A, arm.B, arm.C[at], arm.D[at], outputs=list(names))
@@ -287,7 +289,9 @@ def test_the_monitor_of_the_model_predicts_a_turning_output() -> None:
     system = control.ss(Cz * difference * both, inputs=["r", "theta_1"], outputs="v")
     reference = Reference(name="velocity", unit="rad/s", low=0.0, high=8.0)
 
-    law = armrig.control_law(system, outputs="theta_1", reference=reference, model=_arm("theta_1"))
+    law = armrig.control.control_law(
+        system, outputs="theta_1", reference=reference, model=_arm("theta_1")
+    )
 
     assert law.order == 3  # those of C, and the newest angle
     assert law.monitor is not None
@@ -448,9 +452,9 @@ def test_the_monitor_of_a_model_begins_at_rest() -> None:
 
 def test_a_turning_output_needs_a_model() -> None:
     with pytest.raises(InputError, match=r"theta_1 turns through a dead band, .* model="):
-        armrig.control_law(PI, outputs="theta_1", reference=(0, 8))
+        armrig.control.control_law(PI, outputs="theta_1", reference=(0, 8))
     with pytest.raises(InputError, match="theta_1 turns, so its y0 must be 0, not 1"):
-        armrig.control_law(PI, outputs="theta_1", reference=(0, 8), y0=1.0)
+        armrig.control.control_law(PI, outputs="theta_1", reference=(0, 8), y0=1.0)
 
 
 def test_a_model_adds_no_states_to_a_law() -> None:

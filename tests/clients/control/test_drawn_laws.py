@@ -27,12 +27,14 @@ PWM_V = 5 / 256
 STEP = 64
 """Counts of a step of the converter."""
 METHODS: dict[str, Any] = {
-    "pid with Ms": lambda model, tau, **more: armrig.pid(model, **more),
-    "pid with lambda": lambda model, tau, **more: armrig.pid(model, time_constant=tau, **more),
-    "place": lambda model, tau, **more: armrig.place(
+    "pid with Ms": lambda model, tau, **more: armrig.control.pid(model, **more),
+    "pid with lambda": lambda model, tau, **more: armrig.control.pid(
+        model, time_constant=tau, **more
+    ),
+    "place": lambda model, tau, **more: armrig.control.place(
         model, [-(1.2 + 0.1 * i) / tau for i in range(model[model.outputs[0]].F.size - 1)], **more
     ),
-    "lqg": lambda model, tau, **more: armrig.lqg(model, effort=2.0, **more),
+    "lqg": lambda model, tau, **more: armrig.control.lqg(model, effort=2.0, **more),
 }
 
 

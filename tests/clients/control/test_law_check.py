@@ -33,8 +33,8 @@ def test_bands_over_draws_hold_the_margins_of_the_true_plant() -> None:
 
     for seed in range(60):
         fit = _estimated(seed=seed)
-        law = armrig.pid(fit, time_constant=0.2)
-        check = armrig.check_law(law, fit, draws=200)
+        law = armrig.control.pid(fit, time_constant=0.2)
+        check = armrig.control.check_law(law, fit, draws=200)
         m = margins(LawMatrices.of(law, ["y"]), true.plant, 0.05)
         for i, name in enumerate(("Ms", "phase_deg")):
             low, high = check.band(name)
@@ -46,8 +46,8 @@ def test_bands_over_draws_hold_the_margins_of_the_true_plant() -> None:
 
 def test_the_first_number_is_the_worst_of_draws_and_corners() -> None:
     calm, noisy = (_estimated(noise=noise) for noise in (0.05, 1.0))
-    check = armrig.check_law(armrig.pid(calm, ms=1.4), calm)
-    doubtful = armrig.check_law(armrig.pid(noisy, ms=1.4), noisy)
+    check = armrig.control.check_law(armrig.control.pid(calm, ms=1.4), calm)
+    doubtful = armrig.control.check_law(armrig.control.pid(noisy, ms=1.4), noisy)
 
     corners = [m.Ms for m in check.corners.values()]
     assert check.worst_Ms == pytest.approx(max(corners))
@@ -60,7 +60,7 @@ def test_the_first_number_is_the_worst_of_draws_and_corners() -> None:
 
 
 def test_corners_are_the_margins_of_changed_plants() -> None:
-    check = armrig.check_law(law := armrig.pid(LAG), LAG)
+    check = armrig.control.check_law(law := armrig.control.pid(LAG), LAG)
     changed = plants.model([0, 0.08], [1, -0.9]), plants.model([0, 0, 0.1], [1, -0.9])
 
     for name, model in zip(("gain -20 %", "one more sample of delay"), changed, strict=True):
@@ -70,7 +70,7 @@ def test_corners_are_the_margins_of_changed_plants() -> None:
 
 def test_a_share_of_unstable_draws_is_reported() -> None:
     fit = _estimated(N=100, noise=1.0)
-    check = armrig.check_law(armrig.pid(fit, ms=9.0), fit)
+    check = armrig.control.check_law(armrig.control.pid(fit, ms=9.0), fit)
 
     assert 0 < check.unstable_share < 1
     assert f"{100 * check.unstable_share:.2g} % of 500 draws unstable" in check.verdict
@@ -78,8 +78,8 @@ def test_a_share_of_unstable_draws_is_reported() -> None:
 
 
 def test_steps_have_the_overshoot_and_settling_of_a_direct_simulation() -> None:
-    law = armrig.pid(LAG, ms=1.9, weight=1.0)
-    check = armrig.check_law(law, LAG, height=1.0)
+    law = armrig.control.pid(LAG, ms=1.9, weight=1.0)
+    check = armrig.control.check_law(law, LAG, height=1.0)
     y, _ = plants.simulate(law, LAG, np.ones(check.steps.t.size))
 
     outside = np.flatnonzero(np.abs(y[:, 0] - 1) > 0.05)
@@ -91,41 +91,51 @@ def test_steps_have_the_overshoot_and_settling_of_a_direct_simulation() -> None:
 @pytest.mark.parametrize(
     ("design", "text"),
     [
-        (lambda: armrig.pid(LAG, time_constant=0.05), "at least 0.1 s can be met"),
-        (lambda: armrig.pid(LAG, ms=1.05), "at least 1.1 can be met"),
-        (lambda: armrig.place(LAG, [-30]), "at most 10 rad/s can be met"),
-        (lambda: armrig.place(LAG, [-3, -4]), "the model needs 1"),
-        (lambda: armrig.place(LAG, [3]), "below 0"),
-        (lambda: armrig.lqg(LAG, effort=0.0), "must be above 0"),
-        (lambda: armrig.pid(plants.model([0, 0.1], [1, -1.1])), "unstable"),
-        (lambda: armrig.pid(plants.model([0.1], [1, -0.9])), "nk=0"),
-        (lambda: armrig.pid(plants.model([0, 0.1], [1, -1.0])), "integrator=True"),
-        (lambda: armrig.pid(plants.model([0, 0.1], [1, -0.9], Ts=2.0)), "0.005 to 1 s"),
-        (lambda: armrig.pid(LAG, Ts=0.1), "the model has 0.05 s"),
-        (lambda: armrig.pid(LAG, rig=builtin("heater")), "a model of another rig"),
-        (lambda: armrig.pid(LAG, output="z"), "the model has y"),
-        (lambda: armrig.pid(plants.model([0, 0.1, -0.1], [1, -0.9])), "cannot follow r"),
+        (lambda: armrig.control.pid(LAG, time_constant=0.05), "at least 0.1 s can be met"),
+        (lambda: armrig.control.pid(LAG, ms=1.05), "at least 1.1 can be met"),
+        (lambda: armrig.control.place(LAG, [-30]), "at most 10 rad/s can be met"),
+        (lambda: armrig.control.place(LAG, [-3, -4]), "the model needs 1"),
+        (lambda: armrig.control.place(LAG, [3]), "below 0"),
+        (lambda: armrig.control.lqg(LAG, effort=0.0), "must be above 0"),
+        (lambda: armrig.control.pid(plants.model([0, 0.1], [1, -1.1])), "unstable"),
+        (lambda: armrig.control.pid(plants.model([0.1], [1, -0.9])), "nk=0"),
+        (lambda: armrig.control.pid(plants.model([0, 0.1], [1, -1.0])), "integrator=True"),
+        (lambda: armrig.control.pid(plants.model([0, 0.1], [1, -0.9], Ts=2.0)), "0.005 to 1 s"),
+        (lambda: armrig.control.pid(LAG, Ts=0.1), "the model has 0.05 s"),
+        (lambda: armrig.control.pid(LAG, rig=builtin("heater")), "a model of another rig"),
+        (lambda: armrig.control.pid(LAG, output="z"), "the model has y"),
+        (lambda: armrig.control.pid(plants.model([0, 0.1, -0.1], [1, -0.9])), "cannot follow r"),
         (
-            lambda: armrig.lqg(armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)),
+            lambda: armrig.control.lqg(
+                armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+            ),
             "steady gain 2.4e-05",
         ),
-        (lambda: armrig.pid(LAG, rate=True), "does not integrate"),
+        (lambda: armrig.control.pid(LAG, rate=True), "does not integrate"),
         (
-            lambda: armrig.pid(armrig.Fit.of_channel(B=[0, 1], nk=1, Ts=1.0, input_unit="%")),
+            lambda: armrig.control.pid(
+                armrig.Fit.of_channel(B=[0, 1], nk=1, Ts=1.0, input_unit="%")
+            ),
             "rig='",
         ),
-        (lambda: armrig.pid(control.tf([1.0], [1, 1])), "give Ts="),
-        (lambda: armrig.pid(3.0), "give a Fit"),
+        (lambda: armrig.control.pid(control.tf([1.0], [1, 1])), "give Ts="),
+        (lambda: armrig.control.pid(3.0), "give a Fit"),
         (
-            lambda: armrig.lqg(plants.model([0, 0.1], [1, -1.0], integrator=True, output="level")),
+            lambda: armrig.control.lqg(
+                plants.model([0, 0.1], [1, -1.0], integrator=True, output="level")
+            ),
             "give reference=",
         ),
         (
-            lambda: armrig.check_law(armrig.pid(LAG), plants.model([0, 0.1], [1, -0.9], Ts=0.1)),
+            lambda: armrig.control.check_law(
+                armrig.control.pid(LAG), plants.model([0, 0.1], [1, -0.9], Ts=0.1)
+            ),
             "Ts",
         ),
         (
-            lambda: armrig.check_law(armrig.pid(LAG), plants.model([0, 1], [1, -0.9], output="z")),
+            lambda: armrig.control.check_law(
+                armrig.control.pid(LAG), plants.model([0, 1], [1, -0.9], output="z")
+            ),
             "the law uses y",
         ),
     ],
@@ -144,10 +154,10 @@ def test_with_a_dead_time_poles_that_cannot_dominate_are_refused() -> None:
     late = plants.model([0] * 16 + [0.1], [1, -0.9])
 
     with pytest.raises(InputError, match="rad/s can be met") as refusal:
-        armrig.place(late, [-5])
+        armrig.control.place(late, [-5])
 
     most = float(str(refusal.value).split("at most ")[1].split()[0])
-    assert armrig.place(late, [-0.95 * most]).input_delay == 15
+    assert armrig.control.place(late, [-0.95 * most]).input_delay == 15
 
 
 def test_draws_of_a_dead_time_may_cross_a_whole_sample() -> None:
@@ -159,7 +169,7 @@ def test_draws_of_a_dead_time_may_cross_a_whole_sample() -> None:
     fit = armrig.process(armrig.Dataset(u=u, y=y, Ts=1.0, input_unit="V"), "P1D")
     drawn = design_model(fit).draw(100)
 
-    check = armrig.check_law(armrig.pid(fit, time_constant=40.0), fit, draws=100)
+    check = armrig.control.check_law(armrig.control.pid(fit, time_constant=40.0), fit, draws=100)
 
     assert {p.delay for p in drawn} == {14, 15}
     low, high = check.band("delay_s")
@@ -179,10 +189,10 @@ def test_doubts_stand_in_the_first_line() -> None:
     bad = armrig.Dataset(
         u=u, y=2 * LAG.simulate(u) + 0.05 * rng.standard_normal(400), Ts=0.05, input_unit="V"
     )
-    law = armrig.pid(fit)
+    law = armrig.control.pid(fit)
 
     first = [
-        armrig.check_law(law, model, validation=data, draws=20).verdict.splitlines()[0]
+        armrig.control.check_law(law, model, validation=data, draws=20).verdict.splitlines()[0]
         for model, data in ((LAG, None), (fit, None), (fit, bad), (other, good))
     ]
 
@@ -193,7 +203,7 @@ def test_doubts_stand_in_the_first_line() -> None:
     ):
         assert line.startswith("In doubt: ")
         assert text in line
-    verdict = armrig.check_law(law, fit, validation=good, draws=20).verdict
+    verdict = armrig.control.check_law(law, fit, validation=good, draws=20).verdict
     assert verdict.startswith("Ms at most")
     assert len(verdict.splitlines()) == 2
 
@@ -203,11 +213,11 @@ def test_a_model_in_percent_commands_volts_at_the_pin_of_its_rig() -> None:
     heater, more = builtin("heater"), {"output": "T1", "unit": "degC", "Ts": 1.0, "input": "power"}
     percent = armrig.Fit.of_channel(B=[0, 0.01], F=[1, -0.98], nk=1, input_unit="%", **more)
 
-    law = armrig.pid(percent, time_constant=20.0, rig=heater, u0=1.0, y0=33.0)
-    check = armrig.check_law(law, percent, rig=heater)
+    law = armrig.control.pid(percent, time_constant=20.0, rig=heater, u0=1.0, y0=33.0)
+    check = armrig.control.check_law(law, percent, rig=heater)
 
     in_volts = armrig.Fit.of_channel(B=[0, 0.2], F=[1, -0.98], nk=1, input_unit="V", **more)
-    same = armrig.pid(replace(in_volts, inputs=("u",)), time_constant=20.0, u0=1.0, y0=33.0)
+    same = armrig.control.pid(replace(in_volts, inputs=("u",)), time_constant=20.0, u0=1.0, y0=33.0)
     np.testing.assert_allclose(law.A, same.A)
     np.testing.assert_allclose(law.B, same.B)
     assert law.u0 == pytest.approx(1.0 - 33.0 / 10.0)  # 10 degC for 1 V

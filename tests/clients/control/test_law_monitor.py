@@ -31,7 +31,7 @@ NAMES: dict[str, Any] = {
 POLE = float(np.exp(-1 / 175))
 HEATER = plants.model([0.0] * 16 + [9 * (1 - POLE)], [1, -POLE], 1.0, **NAMES)
 LATE = {"rig": builtin("heater"), "u0": 0.0, "y0": 23.0}
-ARM = armrig.arm(armrig.ArmParameters())
+ARM = armrig.physics.arm(armrig.physics.ArmParameters())
 
 
 def _monitor(law: ControlLaw) -> Monitor:
@@ -42,9 +42,9 @@ def _monitor(law: ControlLaw) -> Monitor:
 @pytest.mark.parametrize(
     "design",
     [
-        lambda **more: armrig.pid(HEATER, time_constant=40.0, **more),
-        lambda **more: armrig.place(HEATER, [-0.02], **more),
-        lambda **more: armrig.lqg(HEATER, effort=3.0, **more),
+        lambda **more: armrig.control.pid(HEATER, time_constant=40.0, **more),
+        lambda **more: armrig.control.place(HEATER, [-0.02], **more),
+        lambda **more: armrig.control.lqg(HEATER, effort=3.0, **more),
     ],
     ids=["pid", "place", "lqg"],
 )
@@ -52,7 +52,7 @@ def test_each_method_writes_the_same_monitor(design: Any) -> None:
     """It is that of the model, whatever the law is."""
     law = design(**LATE)
 
-    m, other = _monitor(law), _monitor(armrig.lqg(HEATER, effort=1.0, **LATE))
+    m, other = _monitor(law), _monitor(armrig.control.lqg(HEATER, effort=1.0, **LATE))
 
     assert replace(m, forward=other.forward) == other
     assert (m.input_delay, m.prelude, m.settling) == (15, 50, (True,))
@@ -63,8 +63,8 @@ def test_each_method_writes_the_same_monitor(design: Any) -> None:
 
 
 def test_poles_of_a_users_observer_do_not_change_the_monitor() -> None:
-    m = _monitor(armrig.place(HEATER, [-0.02], observer=[-0.1, -0.11], **LATE))
-    other = _monitor(armrig.place(HEATER, [-0.02], **LATE))
+    m = _monitor(armrig.control.place(HEATER, [-0.02], observer=[-0.1, -0.11], **LATE))
+    other = _monitor(armrig.control.place(HEATER, [-0.02], **LATE))
 
     assert m.forward == pytest.approx(other.forward)
     assert replace(m, forward=other.forward) == other
@@ -100,7 +100,7 @@ def test_the_units_of_a_model_do_not_change_its_monitor() -> None:
     names["noise_covariance"] = np.array([[1e-7]])
     model = armrig.Fit.of_channel(B=B / -840, F=F, nk=1, Ts=0.05, input_unit="rpm", **names)
 
-    law = armrig.lqg(model, effort=2.0, rig=Description.of(rig), u0=0.0)
+    law = armrig.control.lqg(model, effort=2.0, rig=Description.of(rig), u0=0.0)
 
     m = _monitor(law)
     assert m.B == (1.0, 0.0, 0.0)
@@ -118,7 +118,9 @@ def test_coloured_noise_widens_the_gates() -> None:
         for letter in "FA"
     )
 
-    widths = [_monitor(armrig.lqg(m, effort=1.0, **LATE)).deviations[0] for m in (white, coloured)]
+    widths = [
+        _monitor(armrig.control.lqg(m, effort=1.0, **LATE)).deviations[0] for m in (white, coloured)
+    ]
 
     assert widths[0] < 1.2
     assert widths[1] > 2 * widths[0]
@@ -126,7 +128,7 @@ def test_coloured_noise_widens_the_gates() -> None:
 
 def test_an_angle_and_an_oscillation_have_no_simulation_gate() -> None:
     """The angle integrates, and a constant voltage does not change α."""
-    law = armrig.place(ARM, [-18 + 18j, -18 - 18j, -42], rate=True, Ts=0.01)
+    law = armrig.control.place(ARM, [-18 + 18j, -18 - 18j, -42], rate=True, Ts=0.01)
 
     m = _monitor(law)
 
@@ -141,7 +143,7 @@ def test_a_law_of_alpha_alone_has_a_monitor_of_alpha() -> None:
     C = control.ss([], [], [], [[0.1, -1.0]], 0.01, inputs=["r", "alpha"], outputs="v")
     r = Reference(name="u", unit="V", low=0.0, high=5.0)
 
-    law = armrig.control_law(C, outputs="alpha", reference=r, model=ARM)
+    law = armrig.control.control_law(C, outputs="alpha", reference=r, model=ARM)
 
     m = _monitor(law)
     assert len(m.x0) == 4
@@ -153,13 +155,13 @@ def test_a_dead_time_beyond_that_of_a_law_is_refused() -> None:
     late = plants.model([0.0] * 250 + [0.05], [1, -0.95], 0.05)
 
     with pytest.raises(InputError, match="249 samples of dead time; a law allows 200: design"):
-        armrig.pid(late, time_constant=20.0)
+        armrig.control.pid(late, time_constant=20.0)
 
 
 @pytest.mark.parametrize("Ts", [0.005, 0.01, 0.02, 1.0])
 def test_a_railed_sensor_ends_a_run_in_time(Ts: float) -> None:
     """0.2 s at 100 Hz and above, 10 Ts + 0.1 s below, with the sample that latches rest."""
-    law = armrig.pid(control.tf([9.0], [20 * Ts, 1]), time_constant=20 * Ts, Ts=Ts)
+    law = armrig.control.pid(control.tf([9.0], [20 * Ts, 1]), time_constant=20 * Ts, Ts=Ts)
 
     rest = (law.most_blind + 1) * Ts
 
@@ -175,7 +177,7 @@ def _heater() -> TruePlant:
 
 @pytest.mark.parametrize(("fault", "by"), [("", ""), ("stuck", "of T1"), ("railed", "blind")])
 def test_a_broken_thermometer_stops_the_heater_before_it_is_too_hot(fault: str, by: str) -> None:
-    law = armrig.pid(HEATER, time_constant=45.0, **LATE)
+    law = armrig.control.pid(HEATER, time_constant=45.0, **LATE)
     r, rng = [23.0] * 60 + [43.0] * 900, np.random.default_rng(5)
 
     run = play(law, builtin("heater"), _heater(), r, rng, Fault(fault, 0, 100))
@@ -204,22 +206,22 @@ def test_the_zeros_of_two_outputs_are_those_of_one_voltage() -> None:
     fit = armrig.oe(data, nb=[[1], [1]], nf=1, shared="denominator")
     options = {"rig": Description.of(rig), "u0": 2.0, "y0": (20.0, 5.0)}
 
-    by_p, by_q = (armrig.lqg(fit, output=name, **options) for name in "pq")
+    by_p, by_q = (armrig.control.lqg(fit, output=name, **options) for name in "pq")
 
     assert by_p.u0 == pytest.approx(0.0, abs=0.02)
     assert [o.y0 for o in by_p.outputs] == pytest.approx([0.0, -5.0], abs=0.05)
     assert by_q.u0 == pytest.approx(1.0, abs=0.02)
     assert [o.y0 for o in by_q.outputs] == pytest.approx([10.0, 0.0], abs=0.1)
     with pytest.raises(InputError, match=r"y0=\[1, 2, 3\]: give a finite number for each of 2 out"):
-        armrig.lqg(fit, **{**options, "y0": [1, 2, 3]})
+        armrig.control.lqg(fit, **{**options, "y0": [1, 2, 3]})
 
 
 def test_a_check_says_that_a_law_has_no_monitor() -> None:
-    law = armrig.pid(HEATER, time_constant=45.0, **LATE)
+    law = armrig.control.pid(HEATER, time_constant=45.0, **LATE)
     options = {"rig": builtin("heater"), "draws": 5}
 
-    bare = armrig.check_law(replace(law, monitor=None), HEATER, **options)
+    bare = armrig.control.check_law(replace(law, monitor=None), HEATER, **options)
 
     assert "the law has no monitor: it runs only with unmonitored=True" in bare.verdict
-    assert "monitor" not in armrig.check_law(law, HEATER, **options).verdict
+    assert "monitor" not in armrig.control.check_law(law, HEATER, **options).verdict
     assert design_model(HEATER, **LATE).reading_noise[0, 0] == pytest.approx(0.01 + STEP**2 / 12)

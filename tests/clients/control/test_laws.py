@@ -1,4 +1,4 @@
-"""The laws of armrig.pid, armrig.place and armrig.lqg do on the plant what their design says."""
+"""The laws of pid, place and lqg (armrig.control) do on the plant what their design says."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from armrig_core.rig.description import builtin
 
 from tests.clients.control import plants
 
-ARM = armrig.arm(armrig.ArmParameters())
+ARM = armrig.physics.arm(armrig.physics.ArmParameters())
 POLES = [-18 + 18j, -18 - 18j, -42]
 LAG = plants.model([0, 0.1], [1, -0.9])
 """Gain 1, and a time constant of 0.475 s."""
@@ -40,16 +40,20 @@ def _predicted(law: ControlLaw, model: Any, r: Any) -> tuple[Any, Any]:
 @pytest.mark.parametrize(
     ("name", "law", "model"),
     [
-        ("pid", lambda m: armrig.pid(m), TWO_LAGS),
-        ("lambda", lambda m: armrig.pid(m, time_constant=0.4), LAG),
-        ("pid of a late plant", lambda m: armrig.pid(m), LATE),
-        ("rate", lambda m: armrig.pid(m, rate=True), ANGLE),
-        ("place", lambda m: armrig.place(m, [-4, -5]), TWO_LAGS),
-        ("place with 15 samples of dead time", lambda m: armrig.place(m, [-0.7]), LATE),
-        ("lqg with 15 samples of dead time", lambda m: armrig.lqg(m, effort=8), LATE),
-        ("lqg with 3 samples as states", armrig.lqg, plants.model([0] * 4 + [0.1], [1, -0.9])),
-        ("lqg of an angle", lambda m: armrig.lqg(m, reference=(-1, 1)), ANGLE),
-        ("lqg of two outputs", lambda m: armrig.lqg(m, effort=0.5), "two outputs"),
+        ("pid", lambda m: armrig.control.pid(m), TWO_LAGS),
+        ("lambda", lambda m: armrig.control.pid(m, time_constant=0.4), LAG),
+        ("pid of a late plant", lambda m: armrig.control.pid(m), LATE),
+        ("rate", lambda m: armrig.control.pid(m, rate=True), ANGLE),
+        ("place", lambda m: armrig.control.place(m, [-4, -5]), TWO_LAGS),
+        ("place with 15 samples of dead time", lambda m: armrig.control.place(m, [-0.7]), LATE),
+        ("lqg with 15 samples of dead time", lambda m: armrig.control.lqg(m, effort=8), LATE),
+        (
+            "lqg with 3 samples as states",
+            armrig.control.lqg,
+            plants.model([0] * 4 + [0.1], [1, -0.9]),
+        ),
+        ("lqg of an angle", lambda m: armrig.control.lqg(m, reference=(-1, 1)), ANGLE),
+        ("lqg of two outputs", lambda m: armrig.control.lqg(m, effort=0.5), "two outputs"),
     ],
 )
 def test_a_predicted_step_is_that_of_a_direct_simulation(name: str, law: Any, model: Any) -> None:
@@ -71,10 +75,10 @@ def test_a_predicted_step_is_that_of_a_direct_simulation(name: str, law: Any, mo
 @pytest.mark.parametrize(
     "law",
     [
-        armrig.pid(LAG),
-        armrig.pid(LAG, time_constant=0.3),
-        armrig.place(TWO_LAGS, [-4, -5]),
-        armrig.lqg(LATE, effort=8),
+        armrig.control.pid(LAG),
+        armrig.control.pid(LAG, time_constant=0.3),
+        armrig.control.place(TWO_LAGS, [-4, -5]),
+        armrig.control.lqg(LATE, effort=8),
     ],
     ids=["pid", "lambda", "place", "lqg"],
 )
@@ -91,7 +95,7 @@ def test_an_output_follows_r_despite_a_disturbance_of_the_input(law: ControlLaw)
 
 def test_place_gives_the_poles_that_are_asked_for_and_those_of_the_observer() -> None:
     observer = [-30, -31, -33, -35 + 10j, -35 - 10j]
-    law = armrig.place(ARM, POLES, observer=observer, rate=True, Ts=0.01)
+    law = armrig.control.place(ARM, POLES, observer=observer, rate=True, Ts=0.01)
     design = design_model(ARM, Ts=0.01)
 
     poles = close_loop(LawMatrices.of(law, ["theta_1", "alpha"]), [design.plant]).poles[0]
@@ -105,7 +109,7 @@ def test_place_gives_the_poles_that_are_asked_for_and_those_of_the_observer() ->
 
 def test_the_law_of_the_arm_is_that_of_the_design_notes() -> None:
     """K = (-10.43, 0.450, 0.230) for α, the speed and the rate of α."""
-    law = armrig.place(ARM, POLES, rate=True, Ts=0.01)
+    law = armrig.control.place(ARM, POLES, rate=True, Ts=0.01)
 
     np.testing.assert_allclose(np.array(law.C)[1:4], [10.43, -0.450, -0.230], rtol=6e-3)
     assert law.C[4] == -1.0
@@ -113,14 +117,14 @@ def test_the_law_of_the_arm_is_that_of_the_design_notes() -> None:
 
 
 def test_a_law_of_a_system_without_units_has_those_of_its_rig() -> None:
-    law = armrig.place(ARM, POLES, rate=True, Ts=0.01)
+    law = armrig.control.place(ARM, POLES, rate=True, Ts=0.01)
 
     assert [output.unit for output in law.outputs] == ["rad", "rad"]
     law.check_rig(builtin("arm"), law.Ts_us, 0.0, 5.0)
 
 
 def test_with_a_dead_time_the_poles_are_exact_and_the_others_are_faster() -> None:
-    law = armrig.place(LATE, [-0.7])
+    law = armrig.control.place(LATE, [-0.7])
     design = design_model(LATE)
 
     poles = close_loop(LawMatrices.of(law, ["y"]), [design.plant]).poles[0]
@@ -133,7 +137,7 @@ def test_with_a_dead_time_the_poles_are_exact_and_the_others_are_faster() -> Non
 @pytest.mark.parametrize("effort", [0.001, 1.0, 30.0])
 def test_with_a_dead_time_no_other_gain_of_lqg_costs_less(effort: float) -> None:
     """The cost of a pulse at the input, from the plain equations, is least at the law's gain."""
-    law = armrig.lqg(LATE, effort=effort)
+    law = armrig.control.lqg(LATE, effort=effort)
     best = -law.C[0] / LATE.B[16]  # the state of the plant is y/b
 
     def cost(K: float) -> float:
@@ -151,7 +155,7 @@ def test_with_a_dead_time_no_other_gain_of_lqg_costs_less(effort: float) -> None
 
 def test_an_estimate_of_d_is_the_disturbance_in_volts() -> None:
     """The last state of the observer goes to minus what a friction of 0.3 V takes."""
-    law = armrig.lqg(TWO_LAGS)
+    law = armrig.control.lqg(TWO_LAGS)
     x, y, N = np.zeros(law.order), np.zeros(4), 2000
     u = np.zeros(N + 2)
     A, B = np.array(law.A), np.array(law.B)
@@ -169,7 +173,7 @@ def test_lambda_tuning_is_that_of_the_textbook_for_a_lag() -> None:
     """k_i = 1/(K (λ + θ)) and T_i = T, with θ of the law's sample and half of a held one."""
     heater = control.tf([9.0], [175, 1])
 
-    gains = armrig.pid(heater, time_constant=60.0, Ts=1.0).design["gains"]
+    gains = armrig.control.pid(heater, time_constant=60.0, Ts=1.0).design["gains"]
 
     assert gains["k_i"] == pytest.approx(1 / (9 * 61.5), rel=1e-3)
     assert gains["k_p"] / gains["k_i"] == pytest.approx(175, rel=0.01)
@@ -179,7 +183,7 @@ def test_lambda_tuning_is_that_of_the_textbook_for_a_lag() -> None:
 @pytest.mark.parametrize("model", [LAG, LATE], ids=["lag", "late"])
 def test_no_other_gains_have_a_larger_k_i_at_this_ms(model: armrig.Fit) -> None:
     """10 000 drawn pairs of gains: those with more k_i have a larger Ms, or are unstable."""
-    law = armrig.pid(model, derivative=False)
+    law = armrig.control.pid(model, derivative=False)
     gains, rng = law.design["gains"], np.random.default_rng(2)
     z = np.exp(1j * np.geomspace(1e-3, np.pi, 600))
     P = np.polyval(model.B[::-1], 1 / z) / np.polyval(model.F[::-1], 1 / z)
@@ -202,7 +206,7 @@ def test_no_other_gains_have_a_larger_k_i_at_this_ms(model: armrig.Fit) -> None:
 
 def test_anti_windup_follows_the_voltage_that_was_applied() -> None:
     """At a limit for a long time, I stays near what the limit allows."""
-    law = armrig.pid(LAG, time_constant=0.3)
+    law = armrig.control.pid(LAG, time_constant=0.3)
     x, A, B = np.zeros(law.order), np.array(law.A), np.array(law.B)
     v = 0.0
 

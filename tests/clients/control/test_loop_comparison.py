@@ -42,7 +42,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> armrig.Recording:
 
 
 def test_the_emulated_arm_does_what_its_own_model_predicts(recording: armrig.Recording) -> None:
-    found = armrig.compare_loop(recording, armrig.arm(ArmParameters()))
+    found = armrig.control.compare_loop(recording, armrig.physics.arm(ArmParameters()))
 
     assert found.z.shape == (300,)
     error = (found.z - found.predicted[0])[10:-10]
@@ -58,17 +58,17 @@ def test_the_emulated_arm_does_what_its_own_model_predicts(recording: armrig.Rec
 
 def test_a_model_of_another_gain_does_not_predict_the_run(recording: armrig.Recording) -> None:
     """The law's integral action gives the same speed at the end, by another voltage."""
-    other = armrig.arm(ArmParameters(K_m=1.1 * ArmParameters().K_m))
+    other = armrig.physics.arm(ArmParameters(K_m=1.1 * ArmParameters().K_m))
 
-    right = armrig.compare_loop(recording, armrig.arm(ArmParameters()))
-    wrong = armrig.compare_loop(recording, other)
+    right = armrig.control.compare_loop(recording, armrig.physics.arm(ArmParameters()))
+    wrong = armrig.control.compare_loop(recording, other)
 
     at_end = [abs(np.mean((found.u - found.predicted_u[0])[250:])) for found in (right, wrong)]
     assert at_end[0] < 0.02 < 0.1 < at_end[1]
 
 
 def test_a_band_contains_the_draws_of_a_fit(recording: armrig.Recording) -> None:
-    found = armrig.compare_loop(recording, armrig.arm(ArmParameters()), draws=0)
+    found = armrig.control.compare_loop(recording, armrig.physics.arm(ArmParameters()), draws=0)
 
     low, high = found.band()
 
@@ -80,7 +80,7 @@ def test_a_change_that_is_not_held_is_no_step(tmp_path: Path) -> None:
     dither = [2.0 + 0.1 * (-1) ** (k // 10) for k in range(150)]
     run = recorded(tmp_path, arm_law(), dither + [2.0] * 60 + [3.0] * 60)
 
-    found = armrig.compare_loop(run, armrig.arm(ArmParameters()))
+    found = armrig.control.compare_loop(run, armrig.physics.arm(ArmParameters()))
 
     assert [(one.before, one.after) for one, _ in found.steps()] == [(2.0, 3.0)]
 
@@ -90,7 +90,7 @@ def test_noise_next_to_missing_samples_does_not_prolong_the_settling(
     recording: armrig.Recording, gap: int, error: float
 ) -> None:
     """The mean over 15 samples is below 5 % of the step, and that over fewer is not."""
-    found = armrig.compare_loop(recording, armrig.arm(ArmParameters()), draws=0)
+    found = armrig.control.compare_loop(recording, armrig.physics.arm(ArmParameters()), draws=0)
     z = found.predicted[0].copy()
     z[gap : gap + 20] = np.nan
     z[gap + 20] += error
@@ -102,7 +102,7 @@ def test_noise_next_to_missing_samples_does_not_prolong_the_settling(
 
 
 def test_a_step_without_a_measured_sample_has_no_figures(recording: armrig.Recording) -> None:
-    found = armrig.compare_loop(recording, armrig.arm(ArmParameters()), draws=0)
+    found = armrig.control.compare_loop(recording, armrig.physics.arm(ArmParameters()), draws=0)
 
     [(measured, _)] = replace(found, z=np.full_like(found.z, np.nan)).steps()
 
@@ -112,7 +112,7 @@ def test_a_step_without_a_measured_sample_has_no_figures(recording: armrig.Recor
 
 def test_a_recording_without_a_law_is_refused() -> None:
     with pytest.raises(InputError, match="is no run in control: it has no law"):
-        armrig.compare_loop(armrig.example_recording(), armrig.arm(ArmParameters()))
+        armrig.control.compare_loop(armrig.example_recording(), armrig.physics.arm(ArmParameters()))
 
 
 def test_a_model_without_an_output_of_the_law_is_refused(recording: armrig.Recording) -> None:
@@ -120,11 +120,11 @@ def test_a_model_without_an_output_of_the_law_is_refused(recording: armrig.Recor
     fit = armrig.oe(data, nb=3, nf=3)
 
     with pytest.raises(InputError, match="the law uses theta_1, and the model has alpha"):
-        armrig.compare_loop(recording, fit)
+        armrig.control.compare_loop(recording, fit)
 
 
 def test_the_comparison_is_a_figure_of_two_panels(recording: armrig.Recording) -> None:
-    figure = armrig.compare_loop(recording, armrig.arm(ArmParameters())).plot()
+    figure = armrig.control.compare_loop(recording, armrig.physics.arm(ArmParameters())).plot()
 
     z, u = figure.axes
     assert {text.get_text() for text in z.get_legend().get_texts()} >= {"measured", "predicted"}
@@ -157,4 +157,4 @@ def test_decisions_that_are_not_of_the_run_are_refused(
     other = replace(recording, decisions=lambda: {**found, "k": np.array(k, np.float64)})
 
     with pytest.raises(InputError, match="its decisions are not those of a run of 300 samples"):
-        armrig.compare_loop(other, armrig.arm(ArmParameters()))
+        armrig.control.compare_loop(other, armrig.physics.arm(ArmParameters()))

@@ -143,8 +143,8 @@ def test_margins_of_draws_are_those_of_each_plant() -> None:
 
 def test_a_rate_loop_is_stable_with_its_angle_at_exactly_1() -> None:
     """The angle is not fed back; a pole at 1 that is fed back makes a loop unstable."""
-    arm = armrig.arm(armrig.ArmParameters())
-    law = armrig.place(arm, [-18 + 18j, -18 - 18j, -42], rate=True, Ts=0.01)
+    arm = armrig.physics.arm(armrig.physics.ArmParameters())
+    law = armrig.control.place(arm, [-18 + 18j, -18 - 18j, -42], rate=True, Ts=0.01)
     plant = design_model(arm, Ts=0.01).plant
     matrices = LawMatrices.of(law, ["theta_1", "alpha"])
     loop = close_loop(matrices, [plant])

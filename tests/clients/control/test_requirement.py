@@ -47,11 +47,11 @@ def test_a_file_without_a_requirement_has_none(requirement: object) -> None:
 
 
 def test_the_check_of_a_law_says_whether_the_model_meets_its_requirement() -> None:
-    arm = armrig.arm(armrig.ArmParameters())
-    law = armrig.place(arm, [-18 + 18j, -18 - 18j, -42], rate=True, Ts=0.01)
+    arm = armrig.physics.arm(armrig.physics.ArmParameters())
+    law = armrig.control.place(arm, [-18 + 18j, -18 - 18j, -42], rate=True, Ts=0.01)
 
     met, missed = (
-        armrig.check_law(
+        armrig.control.check_law(
             msgspec.structs.replace(law, design=law.design | {"requirement": {"settling": s}}),
             arm,
             draws=0,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from armrig.excitation import (
     chirp,
-    from_csv,
+    input_from_file,
     multisine,
     prbs,
     staircase,
@@ -257,7 +257,7 @@ def test_a_file_is_read_in_each_common_notation(tmp_path: Path, text: str) -> No
     path = tmp_path / "u.csv"
     path.write_text(text, encoding="utf-8")
 
-    np.testing.assert_array_equal(from_csv(path, 0.01), [1, 2, 3])
+    np.testing.assert_array_equal(input_from_file(path, 0.01), [1, 2, 3])
 
 
 @pytest.mark.parametrize(
@@ -292,7 +292,7 @@ def test_a_file_that_must_not_be_played_is_refused_by_its_line(
     path.write_text(text)
 
     with pytest.raises(ValueError, match=message):
-        from_csv(path, 0.01)
+        input_from_file(path, 0.01)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -331,22 +331,22 @@ def test_a_fifo_is_refused_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "u.csv")
 
     with pytest.raises(OSError, match="not a regular file"):
-        from_csv(tmp_path / "u.csv", Ts=1.0)
+        input_from_file(tmp_path / "u.csv", Ts=1.0)
 
 
 def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
     path = tmp_path / "u.csv"
     path.write_text("t,u\r\n0,1\r\n1,2\r\n", encoding="utf-8-sig")
 
-    np.testing.assert_array_equal(from_csv(path, Ts=1.0), [1.0, 2.0])
+    np.testing.assert_array_equal(input_from_file(path, Ts=1.0), [1.0, 2.0])
     path.write_text("t,u\n0,1\n1,2\n", encoding="utf-16")
     with pytest.raises(
         ValueError, match=r"u\.csv: it is saved as UTF-16: save it as UTF-8, as a CSV$"
     ):
-        from_csv(path, Ts=1.0)
+        input_from_file(path, Ts=1.0)
     path.write_bytes(b"t,u\n0,1 \xb5V\n")
     with pytest.raises(ValueError, match=r"u\.csv: line 2 is not UTF-8: save it as UTF-8"):
-        from_csv(path, Ts=1.0)
+        input_from_file(path, Ts=1.0)
 
 
 @pytest.mark.parametrize(
@@ -409,10 +409,10 @@ def test_a_column_with_the_inputs_name_has_its_own_value(tmp_path: Path) -> None
     power = Input(name="power", unit="%", per_volt=20.0)
     (tmp_path / "own.csv").write_text("t [s],power [%]\n0,0\n0.01,60\n")
 
-    assert from_csv(tmp_path / "own.csv", 0.01, input=power).tolist() == [0.0, 3.0]
+    assert input_from_file(tmp_path / "own.csv", 0.01, input=power).tolist() == [0.0, 3.0]
     assert is_named(tmp_path / "own.csv")
     with pytest.raises(ValueError, match=r"columns t, power; name them t and u"):
-        from_csv(tmp_path / "own.csv", 0.01)
+        input_from_file(tmp_path / "own.csv", 0.01)
     (tmp_path / "own.csv").write_text("t,power [V]\n0,0\n0.01,6\n")
     with pytest.raises(ValueError, match=r"power in V; give t in s and power in %"):
-        from_csv(tmp_path / "own.csv", 0.01, input=power)
+        input_from_file(tmp_path / "own.csv", 0.01, input=power)

@@ -37,7 +37,7 @@ EVERY = pytest.mark.parametrize("p", OTHERS.values(), ids=OTHERS.keys())
 
 def _stepped(p: ArmParameters, Ts: float) -> armrig.Dataset:
     """Return the angle without noise before and after a step of 1 V."""
-    n = round(15 * armrig.characteristics(p).slowest_time / Ts)
+    n = round(15 * armrig.physics.characteristics(p).slowest_time / Ts)
     angle = step_response(p, Ts * np.arange(n), state="theta_1")
     y, u = np.concatenate([np.zeros(n), angle]), np.repeat([0.0, 1.0], n)
     return armrig.Dataset(u=u, y=y, Ts=Ts, output="theta_1", unit="rad")
@@ -57,7 +57,7 @@ def _shown(p: ArmParameters, Ts: float) -> Iterator[tuple[str, float, float, flo
 @pytest.mark.parametrize("Ts", sampled([0.01, 0.005]))
 def test_a_time_is_equal_in_all_places_that_show_it(p: ArmParameters, Ts: float) -> None:
     """`armrig model`, `compare`, the step analysis and `armrig sampling` give one number."""
-    truth = armrig.characteristics(p)
+    truth = armrig.physics.characteristics(p)
 
     for where, rise, std, equivalent in _shown(p, Ts):
         assert rise == pytest.approx(truth.rise_time, rel=0.01, abs=2 * std), where
@@ -70,11 +70,11 @@ def test_a_time_is_equal_in_all_places_that_show_it(p: ArmParameters, Ts: float)
 def test_the_arms_times_are_known_in_closed_form() -> None:
     """The equivalent time contains both inertias: (J_1 + J_2) R_m/(N K_m)²."""
     p = ArmParameters()
-    found = armrig.characteristics(p)
+    found = armrig.physics.characteristics(p)
 
     total = (p.J_1 + p.J_2) * p.R_m / (p.N * p.K_m) ** 2
     assert found.equivalent_time == pytest.approx(total, rel=1e-6)
-    stiff = armrig.characteristics(replace(p, K_lin=1e5))
+    stiff = armrig.physics.characteristics(replace(p, K_lin=1e5))
     assert stiff.rise_time == pytest.approx(total, rel=0.01)
     assert found.slowest_time == pytest.approx(-1 / found.poles[1].real)
 
@@ -96,7 +96,7 @@ def test_all_three_times_of_a_first_order_system_are_its_time_constant(
 def test_parameters_that_are_far_apart_have_their_times() -> None:
     """The arm rings a million times during the decay of the motor."""
     light, heavy = (
-        armrig.characteristics(p) for p in (ArmParameters(J_2=1e-9), ArmParameters(J_1=1e9))
+        armrig.physics.characteristics(p) for p in (ArmParameters(J_2=1e-9), ArmParameters(J_1=1e9))
     )
 
     assert light.rise_time == pytest.approx(light.equivalent_time, rel=0.01)

@@ -311,7 +311,7 @@ def test_figures_of_a_fit_are_those_of_its_values_and_deviations(make: Make) -> 
 
 
 def estimated(signals: Any, **options: Any) -> armrig.GreyFit:
-    return armrig.greybox(signals, armrig.arm, ARM_PARAMETERS, **options)
+    return armrig.greybox(signals, armrig.physics.arm, ARM_PARAMETERS, **options)
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.3])
@@ -405,7 +405,7 @@ def test_fixed_parameters_carry_their_uncertainty_into_both_forms() -> None:
 
 def test_the_final_weights_of_the_outputs_are_the_deviations_of_their_residuals() -> None:
     _, signals = simulated_arm(np.random.default_rng([3, 9]), 200, 2e-3)
-    physics = Physics(model=armrig.arm, fixed=ArmParameters(), outputs=signals.outputs)
+    physics = Physics(model=armrig.physics.arm, fixed=ArmParameters(), outputs=signals.outputs)
 
     problem, best, _ = minimise(physics, ARM_PARAMETERS, asdict(physics.fixed), (signals,))
 

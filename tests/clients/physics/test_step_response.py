@@ -17,7 +17,7 @@ T = np.linspace(0.0, 1.0, 501)
 
 def test_the_step_figures_equal_those_of_the_handout() -> None:
     """Assignment 2.2: steady speed, initial slope, poles and zeros."""
-    seen = armrig.characteristics()
+    seen = armrig.physics.characteristics()
 
     assert seen.steady_speed == pytest.approx(1.8623, abs=5e-5)
     assert seen.initial_slope == pytest.approx(98.40, abs=5e-3)
@@ -30,7 +30,7 @@ def test_the_step_figures_equal_those_of_the_handout() -> None:
 
 def test_the_step_figures_match_the_simulated_response() -> None:
     p = ArmParameters(J_1=2.5e-3, K_lin=0.8, b_1=0.01)
-    seen = armrig.characteristics(p)
+    seen = armrig.physics.characteristics(p)
 
     assert step_response(p, np.linspace(0, 20, 2001))[-1] == pytest.approx(seen.steady_speed)
     early = np.linspace(0, 1e-6, 2)
@@ -49,7 +49,7 @@ def test_the_response_equals_that_of_python_control() -> None:
 def test_sensitivities_are_the_changes_for_one_per_cent(name: str) -> None:
     """To first order: twice the second difference remains."""
     value = getattr(P, name)
-    by = armrig.step_sensitivities(P, T, names=[name], u=2.0)[name]
+    by = armrig.physics.step_sensitivities(P, T, names=[name], u=2.0)[name]
 
     up, down = (
         step_response(replace(P, **{name: value * np.exp(x)}), T, u=2.0) for x in (1e-4, -1e-4)
@@ -60,7 +60,7 @@ def test_sensitivities_are_the_changes_for_one_per_cent(name: str) -> None:
 def test_the_sensitivity_to_friction_is_relative_to_the_back_emf() -> None:
     """b_1 may be 0."""
     d = (P.N * P.K_m) ** 2 / P.R_m
-    by = armrig.step_sensitivities(P, T, names=["b_1"], model=chassis)["b_1"]
+    by = armrig.physics.step_sensitivities(P, T, names=["b_1"], model=chassis)["b_1"]
 
     bits = [step_response(replace(P, b_1=x * d), T, model=chassis) for x in (0.0, 1e-4, 2e-4)]
     np.testing.assert_allclose(by, (4 * bits[1] - 3 * bits[0] - bits[2]) / 2e-4, atol=1e-6)
@@ -74,8 +74,8 @@ def test_a_pair_of_roots_is_written_once() -> None:
 
 def test_impossible_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="equidistant from 0"):
-        armrig.step_sensitivities(P, [0.0, 0.1, 0.3])
+        armrig.physics.step_sensitivities(P, [0.0, 0.1, 0.3])
     with pytest.raises(ValueError, match="'J' is none of J_1"):
-        armrig.step_sensitivities(P, T, names=["J"])
+        armrig.physics.step_sensitivities(P, T, names=["J"])
     with pytest.raises(ValueError, match="state='beta' is none of"):
         step_response(P, T, state="beta")

@@ -31,7 +31,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def run(model: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a run in control under a law of this model."""
-    law = armrig.place(armrig.load_fit(model), [-18 + 18j, -18 - 18j, -42])
+    law = armrig.control.place(armrig.load_fit(model), [-18 + 18j, -18 - 18j, -42])
     service = VirtualService(Config(), tmp_path_factory.mktemp("run"), seed=1)
     reference = [2.0] * 150 + [4.0] * 150
     return service.record(ControlRequest(lease=LEASE, n=0, law=law, reference=reference))
@@ -74,7 +74,7 @@ def test_a_report_has_the_prediction_beside_the_run(study: ControlStudy) -> None
 def test_a_law_without_a_monitor_is_a_warning(study: ControlStudy) -> None:
     fields = {name: getattr(study.comparison, name) for name in study.comparison.__slots__}
     law = {name: getattr(fields["law"], name) for name in fields["law"].__struct_fields__}
-    bare = armrig.ControlLaw(**law | {"monitor": None})
+    bare = armrig.control.ControlLaw(**law | {"monitor": None})
     other = type(study.comparison)(**fields | {"law": bare, "prelude": 0})
 
     contents = control_contents(

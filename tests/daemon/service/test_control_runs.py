@@ -194,8 +194,8 @@ def test_the_same_law_has_the_same_hash_for_whole_and_decimal_numbers() -> None:
             arm_law(hi=4.0),
             STEP,
             "the law has no monitor, so a stuck sensor drives the rig to full input: design the "
-            "law by `armrig design`, or give model= to armrig.control_law; unmonitored=True "
-            "(--unmonitored) allows this law",
+            "law by `armrig design`, or give model= to armrig.control.control_law; "
+            "unmonitored=True (--unmonitored) allows this law",
         ),
         (arm_law(hi=4.0, input="power"), STEP, "the rig's input is u"),
     ],

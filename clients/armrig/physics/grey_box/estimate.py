@@ -80,9 +80,10 @@ def greybox(
         u in V and the output that `output` names. If Signals contain theta_1 and alpha, named as in
         the model, both outputs are used together.
     model : callable, optional
-        Function `ArmParameters` -> control.StateSpace, continuous with one input: `armrig.chassis`
-        if the rotating part was removed, `armrig.arm` for the complete rig, or your own function.
-        The default is `armrig.chassis` for one output, and `armrig.arm` for several.
+        Function `ArmParameters` -> control.StateSpace, continuous with one input:
+        `armrig.physics.chassis` if the rotating part was removed, `armrig.physics.arm` for the
+        complete rig, or your own function. The default is `armrig.physics.chassis` for one output,
+        and `armrig.physics.arm` for several.
     free : sequence of str, default ("J_1",)
         Parameters to estimate, fields of `ArmParameters`. The search starts at their values in
         `fixed`.
@@ -128,7 +129,7 @@ def greybox(
     --------
     >>> import armrig
     >>> data = armrig.example_recording().dataset("theta_1")
-    >>> fit = armrig.greybox(data, armrig.arm, free=("J_1", "K_lin"))
+    >>> fit = armrig.greybox(data, armrig.physics.arm, free=("J_1", "K_lin"))
     >>> for name in fit.names:
     ...     print(f"{name} = {fit.values[name]:.2g} ± {100 * fit.relative_std[name]:.1f} %")
     J_1 = 0.0017 ± 0.1 %

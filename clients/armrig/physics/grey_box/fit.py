@@ -35,7 +35,7 @@ class GreyFit:
     Examples
     --------
     >>> import armrig
-    >>> fit = armrig.greybox(armrig.example_recording().dataset("theta_1"), armrig.arm)
+    >>> fit = armrig.greybox(armrig.example_recording().dataset("theta_1"), armrig.physics.arm)
     >>> print(fit)
     grey box (output error), theta_1, 2903 samples at 0.01 s, fit 99.99 %, rms 0.0035... rad
                  estimate        std     robust
@@ -144,8 +144,8 @@ class GreyFit:
 
         >>> import armrig
         >>> data = armrig.example_recording().dataset("theta_1")
-        >>> armrig.greybox(data, armrig.arm, free=["J_2", "K_lin"]).require_result()
-        >>> armrig.greybox(data[:30], armrig.arm, free=["J_2", "K_lin"]).require_result()
+        >>> armrig.greybox(data, armrig.physics.arm, free=["J_2", "K_lin"]).require_result()
+        >>> armrig.greybox(data[:30], armrig.physics.arm, free=["J_2", "K_lin"]).require_result()
         Traceback (most recent call last):
             ...
         armrig_core.errors.InputError: J_2 = 0.0039... kg m²: not identifiable from these ...
@@ -177,7 +177,7 @@ class GreyFit:
         Examples
         --------
         >>> import armrig
-        >>> fit = armrig.greybox(armrig.example_recording().dataset("theta_1"), armrig.arm)
+        >>> fit = armrig.greybox(armrig.example_recording().dataset("theta_1"), armrig.physics.arm)
         >>> system = fit.to_control()
         >>> system.input_labels, system.output_labels
         (['u'], ['theta_1', 'alpha'])
@@ -192,7 +192,7 @@ class GreyFit:
         Examples
         --------
         >>> import armrig, numpy as np
-        >>> fit = armrig.greybox(armrig.example_recording().dataset("theta_1"), armrig.arm)
+        >>> fit = armrig.greybox(armrig.example_recording().dataset("theta_1"), armrig.physics.arm)
         >>> theta_1 = fit.simulate(2.0 * np.ones(101))
         >>> print(f"{theta_1[-1]:.1f} rad after {100 * fit.Ts:.0f} s at 2 V")
         3.5 rad after 1 s at 2 V
@@ -209,7 +209,7 @@ class GreyFit:
         --------
         >>> import armrig, numpy as np
         >>> data = armrig.example_recording().dataset("theta_1")
-        >>> fit = armrig.greybox(data, armrig.arm)
+        >>> fit = armrig.greybox(data, armrig.physics.arm)
         >>> f"{np.sqrt(np.nanmean(fit.errors(data) ** 2)):.4f} rad"
         '0.003... rad'
         """
@@ -232,7 +232,7 @@ class GreyFit:
         --------
         >>> import armrig
         >>> data = armrig.example_recording().dataset("theta_1")
-        >>> armrig.greybox(data, armrig.arm).plot(data)
+        >>> armrig.greybox(data, armrig.physics.arm).plot(data)
         <Figure size ... with 2 Axes>
         """
         from armrig.plots import plot_greybox
@@ -247,7 +247,7 @@ class GreyFit:
         --------
         >>> import armrig
         >>> data = armrig.example_recording().dataset("theta_1")
-        >>> print(armrig.greybox(data, armrig.arm).explain())
+        >>> print(armrig.greybox(data, armrig.physics.arm).explain())
         J_1 = 0.0017... ± 2.2e-06 kg m² (one standard deviation, 0.13 %).
         If a fixed parameter is 1 % larger, J_1 changes: J_2 -2.8... %, N +0.9... %, ...
         """

@@ -155,7 +155,7 @@ class Physics:
         if not callable(self.model) or hasattr(self.model, "dt"):
             raise InputTypeError(
                 f"model is a {type(self.model).__name__}: give a function of the parameters, "
-                "such as armrig.arm, without parentheses"
+                "such as armrig.physics.arm, without parentheses"
             )
         system = self.model(self.fixed)
         if system.dt not in (0, None) or system.ninputs != 1:

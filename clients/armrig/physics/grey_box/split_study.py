@@ -218,7 +218,8 @@ def split_study(
     --------
     >>> import armrig
     >>> data = armrig.example_recording().dataset("theta_1")
-    >>> study = armrig.split_study(data, estimator=lambda part: armrig.greybox(part, armrig.arm))
+    >>> arm = armrig.physics.arm
+    >>> study = armrig.split_study(data, estimator=lambda part: armrig.greybox(part, arm))
     >>> [split.k for split in study.splits], round(study.exponent, 1)
     ([1, 2, 4], -0.5)
     >>> print(study.verdict)

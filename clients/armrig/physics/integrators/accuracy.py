@@ -81,7 +81,7 @@ def sinusoid(
     Examples
     --------
     >>> import armrig
-    >>> problem = armrig.sinusoid([[-5.0]], [1.0], omega=2.0)
+    >>> problem = armrig.physics.sinusoid([[-5.0]], [1.0], omega=2.0)
     >>> for h in (0.1, 0.05):
     ...     print(f"h = {h} s: error {100 * problem.error(h, 'heun'):.1f} %")
     h = 0.1 s: error 1.2 %
@@ -131,9 +131,9 @@ def convergence(problem: Sinusoid, method: str, h: ArrayLike | None = None) -> C
     Examples
     --------
     >>> import armrig
-    >>> problem = armrig.sinusoid([[-5.0]], [1.0], omega=2.0)
+    >>> problem = armrig.physics.sinusoid([[-5.0]], [1.0], omega=2.0)
     >>> for method in ("forward_euler", "heun"):
-    ...     found = armrig.convergence(problem, method, h=[0.02, 0.01, 0.005])
+    ...     found = armrig.physics.convergence(problem, method, h=[0.02, 0.01, 0.005])
     ...     print(f"{method}: order {found.order:.1f}, stable up to {found.limit:.1f} s")
     forward_euler: order 1.0, stable up to 0.4 s
     heun: order 2.0, stable up to 0.4 s
@@ -240,7 +240,7 @@ def recommend_step(
     Parameters
     ----------
     A, B, amplitude, omega, x0
-        As for `armrig.exact`; x0 is 0 by default.
+        As for `armrig.physics.exact`; x0 is 0 by default.
     tolerance : float, default 1e-3
         Largest allowed error over the span, relative to the largest value of each state; 1e-8 to
         0.5.
@@ -258,8 +258,8 @@ def recommend_step(
     Examples
     --------
     >>> import armrig
-    >>> system = armrig.arm(armrig.ArmParameters())
-    >>> found = armrig.recommend_step(system.A, system.B, omega=5.0, tolerance=0.01)
+    >>> system = armrig.physics.arm(armrig.physics.ArmParameters())
+    >>> found = armrig.physics.recommend_step(system.A, system.B, omega=5.0, tolerance=0.01)
     >>> for row in found.rows:
     ...     print(f"{row.method}: {1000 * row.h:.1f} ms")
     trapezoidal: 12.0 ms

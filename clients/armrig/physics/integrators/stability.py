@@ -62,9 +62,9 @@ def stability_limit(A: ArrayLike, method: str = "forward_euler") -> float:
     Examples
     --------
     >>> import armrig
-    >>> A = armrig.arm(armrig.ArmParameters()).A
+    >>> A = armrig.physics.arm(armrig.physics.ArmParameters()).A
     >>> for method in ("forward_euler", "ab2", "heun", "trapezoidal"):
-    ...     print(f"{method}: {armrig.stability_limit(A, method):.3f} s")
+    ...     print(f"{method}: {armrig.physics.stability_limit(A, method):.3f} s")
     forward_euler: 0.045 s
     ab2: 0.027 s
     heun: 0.054 s

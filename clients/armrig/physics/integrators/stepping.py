@@ -73,7 +73,7 @@ def exact(
     Parameters
     ----------
     A, B, x0
-        As for `armrig.integrate`, with one input.
+        As for `armrig.physics.integrate`, with one input.
     amplitude, omega : float
         Amplitude of the input, in its unit, and angular frequency in rad/s.
     t : array_like, shape (N,)
@@ -93,7 +93,8 @@ def exact(
     The integral of sin(pi t) is (1 - cos(pi t))/pi.
 
     >>> import armrig, numpy as np
-    >>> x = armrig.exact([[0.0]], [1.0], amplitude=1.0, omega=np.pi, x0=[0.0], t=[0.0, 0.5, 1.0])
+    >>> A, B, t = [[0.0]], [1.0], [0.0, 0.5, 1.0]
+    >>> x = armrig.physics.exact(A, B, amplitude=1.0, omega=np.pi, x0=[0.0], t=t)
     >>> x[:, 0].round(4)
     array([0.    , 0.3183, 0.6366])
     """
@@ -138,7 +139,7 @@ def integrate(
         midpoint       x(k+1) = x(k) + h f(t + h/2, x + h f(t, x) / 2)      order 2
 
     The first step of AB(2) is computed by Heun's method. The trapezoidal rule factors I - h A / 2
-    once. `armrig.stability_limit` returns the largest stable step of a method.
+    once. `armrig.physics.stability_limit` returns the largest stable step of a method.
 
     Parameters
     ----------
@@ -177,7 +178,7 @@ def integrate(
     Examples
     --------
     >>> import armrig, numpy as np
-    >>> t, x = armrig.integrate([[-1.0]], [1.0], lambda t: 1.0, [0.0], 0.1, 10, "heun")
+    >>> t, x = armrig.physics.integrate([[-1.0]], [1.0], lambda t: 1.0, [0.0], 0.1, 10, "heun")
     >>> print(f"x({t[-1]:.0f} s) = {x[-1, 0]:.3f}, exact {1 - np.exp(-1):.3f}")
     x(1 s) = 0.631, exact 0.632
     """

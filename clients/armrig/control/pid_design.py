@@ -82,7 +82,7 @@ def pid(
         Weight b of r in the proportional part. The default is 1 with `time_constant`, otherwise
         0.5, which reduces the overshoot.
     output, rate, reference, u0, y0, rig, Ts, validation
-        As in `armrig.place`.
+        As in `armrig.control.place`.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def pid(
     --------
     >>> import control
     >>> heater = control.tf([9.0], [175, 1])
-    >>> law = armrig.pid(heater, time_constant=60.0, Ts=1.0)
+    >>> law = armrig.control.pid(heater, time_constant=60.0, Ts=1.0)
     >>> law.order, law.design["gains"]["k_i"]
     (2, 0.00180...)
     """
@@ -132,8 +132,8 @@ def _check(
     """Refuse requirements that no law meets."""
     if not design.is_stable:
         raise InputError(
-            "the model is unstable: a PID law of these rules needs a stable plant; use armrig.lqg "
-            "or armrig.place (`armrig design lqg`)"
+            "the model is unstable: a PID law of these rules needs a stable plant; use "
+            "armrig.control.lqg or armrig.control.place (`armrig design lqg`)"
         )
     if time_constant is not None and ms is not None:
         raise InputError("time_constant and ms are two ways to design a law: give one")

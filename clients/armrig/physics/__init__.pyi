@@ -1,0 +1,13 @@
+from armrig.physics.integrators.accuracy import convergence as convergence
+from armrig.physics.integrators.accuracy import recommend_step as recommend_step
+from armrig.physics.integrators.accuracy import sinusoid as sinusoid
+from armrig.physics.integrators.stability import stability_limit as stability_limit
+from armrig.physics.integrators.stepping import exact as exact
+from armrig.physics.integrators.stepping import integrate as integrate
+from armrig.physics.step_response import characteristics as characteristics
+from armrig.physics.step_response import step_sensitivities as step_sensitivities
+from armrig.physics.systems import ArmParameters as ArmParameters
+from armrig.physics.systems import arm as arm
+from armrig.physics.systems import chassis as chassis
+from armrig.physics.systems import physical_model as physical_model
+from armrig.physics.systems import rehearse as rehearse
