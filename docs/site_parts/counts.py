@@ -54,9 +54,9 @@ def dead_links(site: Path) -> list[str]:
 
 
 def public_names() -> Iterator[tuple[str, Any]]:
-    """Yield the functions, classes and public methods of `armrig`."""
-    for name in armrig.__all__:
-        found = getattr(armrig, name)
+    """Yield the functions, classes and public methods of `armrig` and its public packages."""
+    packages = (armrig, armrig.control, armrig.physics)
+    for name, found in ((name, getattr(p, name)) for p in packages for name in p.__all__):
         yield name, found
         if inspect.isclass(found):
             yield from ((f"{name}.{key}", method) for key, method in _methods(found))

@@ -297,7 +297,10 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "plot_values, unlike": lambda e: of.unlike_integrating().plot("values", ax=ax()),
     "plot_compare, many": lambda e: armrig.compare(
         of.unlike().select(1),
-        *(changed(exact([0, 0, 0, -2.0 - k], [1, -0.9]), Ts=0.5, nk=3) for k in range(7)),
+        *(
+            changed(exact([0, 0, 0, -2.0 - k], [1, -0.9]), Ts=0.5, nk=3, input_unit="A")
+            for k in range(7)
+        ),
         labels=[*"abcde", "with a name that is longer than the figure is wide, " * 3, "g"],
     ).plot(ax=ax()),
     "plot_residuals, unlike": lambda e: armrig.residuals(

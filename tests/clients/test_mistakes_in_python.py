@@ -115,7 +115,7 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
         "compare(data, fit1, fit2)",
     ),
     ("compare of other Ts", lambda: a.compare(OTHER, FIT), ValueError, "validate at the same rate"),
-    ("residuals(data, fit)", lambda: a.residuals(DATA, FIT), TypeError, "residuals(fit, data)"),
+    ("residuals(data, data)", lambda: a.residuals(DATA, DATA), TypeError, "residuals(fit, data)"),
     # Physics.
     ("free=('J1',)", lambda: a.greybox(DATA, free=("J1",)), ValueError, "is none of J_1, J_2"),
     ("model='chassis'", lambda: a.greybox(DATA, model="chassis"), TypeError, "as armrig.physics."),

@@ -51,27 +51,32 @@ def require_same_signals(model: Fit, data: Dataset | Signals) -> None:
         )
     dataset = _single(data)
     _require_same_Ts(model, dataset.Ts)
-    for role, default, ours, theirs in (
-        ("output", "y", (model.output, model.unit), (dataset.output, dataset.unit)),
-        (
-            "input",
-            "u",
-            (model.inputs[0], model.input_units[0]),
-            (dataset.input, dataset.input_unit),
-        ),
-    ):
-        names, units = ({*x} - {"", default} for x in zip(ours, theirs, strict=True))
-        if len(names) > 1 or len(units) > 1:
-            of_model, of_data = (f"{name} [{unit or '–'}]" for name, unit in (ours, theirs))
-            way = (
-                f"recording.dataset(output={model.output!r})"
-                if role == "output"
-                else (f"signals.dataset({model.output!r}, {model.inputs[0]!r})")
-            )
-            raise InputError(
-                f"the model's {role} is {of_model} and the data contain {of_data}; validate with "
-                f"the model's {role}, {way}"
-            )
+    output, input = model.output, model.inputs[0]
+    _require_same_signal(
+        "output",
+        (output, model.unit),
+        (dataset.output, dataset.unit),
+        f"recording.dataset(output={output!r})",
+    )
+    _require_same_signal(
+        "input",
+        (input, model.input_units[0]),
+        (dataset.input, dataset.input_unit),
+        f"signals.dataset({output!r}, {input!r})",
+    )
+
+
+def _require_same_signal(
+    role: str, of_model: tuple[str, str], of_data: tuple[str, str], remedy: str
+) -> None:
+    """Refuse another name or another unit of the only signal of a role."""
+    names, units = (set(pair) for pair in zip(of_model, of_data, strict=True))
+    if len(names - {"", "u" if role == "input" else "y"}) > 1 or len(units - {""}) > 1:
+        ours, theirs = (f"{name} [{unit or '–'}]" for name, unit in (of_model, of_data))
+        raise InputError(
+            f"the model's {role} is {ours} and the data contain {theirs}; validate with the "
+            f"model's {role}, {remedy}"
+        )
 
 
 def _require_same_channels(model: Fit, data: object) -> None:

@@ -55,7 +55,7 @@ def test_the_file_is_the_law_of_the_function(
     assert main(["design", command, "model.json", *options, "--draws", "20", "--json"]) == 0
 
     law = armrig.control.load_law("law.json")
-    expected = getattr(armrig, design)(model, **named)
+    expected = getattr(armrig.control, design)(model, **named)
     assert (law.A, law.B, law.C, law.D) == (expected.A, expected.B, expected.C, expected.D)
     assert (law.u0, law.x0, law.reference) == (expected.u0, expected.x0, expected.reference)
     facts = json.loads(capsys.readouterr().out)
