@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import log
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -46,6 +46,9 @@ from armrig.control.loop import LawMatrices
 from armrig.control.plant import DesignModel, design_model
 from armrig.models.state_space import Matrix, Vector
 from armrig.numerics.quantities import digits, plural
+
+if TYPE_CHECKING:
+    from armrig.control.plant import PlantModel
 
 _EXACT = 1e-9
 """Largest difference of sampling times, in s, and of voltages that count as equal."""
@@ -73,7 +76,7 @@ def control_law(
     lo: float | None = None,
     hi: float | None = None,
     slew: float = 0.0,
-    model: Any = None,
+    model: PlantModel | None = None,
     tracking_time: float | None = None,
     K: ArrayLike | None = None,
     most_blind: int | None = None,

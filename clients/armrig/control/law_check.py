@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
@@ -32,6 +32,9 @@ from armrig.control.requirement import requirement_of
 from armrig.models.state_space import Complex, Matrix, Vector
 from armrig.numerics.quantities import digits, plural
 from armrig.plots.layout import plot_method
+
+if TYPE_CHECKING:
+    from armrig.control.plant import PlantModel, Validation
 
 DRAWS = 500
 GAIN_SHARE = 0.2
@@ -219,14 +222,14 @@ def _time(band: Sequence[float]) -> str:
 @with_argument_checks
 def check_law(
     law: ControlLaw,
-    model: Any,
+    model: PlantModel,
     *,
     draws: int = DRAWS,
     height: float | None = None,
     rig: Description | None = None,
     u0: float | None = None,
     y0: float | Sequence[float] = 0.0,
-    validation: Any = None,
+    validation: Validation | None = None,
 ) -> LawCheck:
     """Return what a law will do: margins, steps and their bands over draws of the model.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, nan
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
@@ -27,6 +27,9 @@ from armrig.numerics.quantities import digits, plural
 from armrig.plots.layout import plot_method
 from armrig.recordings.files.control_run import ControlRun, control_run
 from armrig.recordings.recording import Recording
+
+if TYPE_CHECKING:
+    from armrig.control.plant import PlantModel, Validation
 
 DRAWS = 30
 RATE_SAMPLES = 5
@@ -240,13 +243,13 @@ def _seconds(value: float) -> str:
 @with_argument_checks
 def compare_loop(
     recording: Recording,
-    model: Any,
+    model: PlantModel,
     *,
     draws: int = DRAWS,
     rig: Description | None = None,
     u0: float | None = None,
     y0: float = 0.0,
-    validation: Any = None,
+    validation: Validation | None = None,
 ) -> LoopComparison:
     """Return a recorded run in control next to what a model predicts of it.
 

@@ -14,7 +14,7 @@ P(z)/z: the delay of the law is counted once.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
@@ -29,6 +29,9 @@ from armrig.control.state_feedback import Goal, make_law, require_margins
 from armrig.models.state_space import Complex, Vector
 from armrig.numerics.quantities import digits
 
+if TYPE_CHECKING:
+    from armrig.control.plant import PlantModel, Validation
+
 MS = 1.6
 """Largest sensitivity by default."""
 _LEAST_MS = 1.1
@@ -41,7 +44,7 @@ _ROUNDS = 7
 
 @with_argument_checks
 def pid(
-    model: Any,
+    model: PlantModel,
     *,
     time_constant: float | None = None,
     ms: float | None = None,
@@ -55,7 +58,7 @@ def pid(
     y0: float | Sequence[float] = 0.0,
     rig: Description | None = None,
     Ts: float | None = None,
-    validation: Any = None,
+    validation: Validation | None = None,
 ) -> ControlLaw:
     """Return a PI or PID law for a time constant of the closed loop, or for a largest sensitivity.
 

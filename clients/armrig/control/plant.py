@@ -14,7 +14,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from armrig_core.control.control_law import MAX_TS_US, MIN_TS_US, LawOutput
@@ -26,6 +26,8 @@ from armrig_core.rig.volts import U_MAX_V
 from armrig_core.telemetry.channels import INTEGRATING_OUTPUTS, SYMBOLS
 from scipy.linalg import block_diag
 
+from armrig.data.argument import HasDataset, as_dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.step import LINE, MEAN, codes_of
 from armrig.models.fit import Fit
 from armrig.models.matrices import Matrices
@@ -36,6 +38,12 @@ from armrig.numerics.quantities import digits, plural
 from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.physical_models import Physics
 from armrig.validation.residuals import residuals
+
+if TYPE_CHECKING:
+    import control
+
+    PlantModel: TypeAlias = Fit | GreyFit | control.StateSpace | control.TransferFunction
+    Validation: TypeAlias = Dataset | Signals | HasDataset
 
 SEED = 1
 _STEPS = 1024
@@ -134,14 +142,14 @@ class DesignModel:
 
 
 def design_model(
-    model: Any,
+    model: PlantModel,
     *,
     rig: Description | None = None,
     Ts: float | None = None,
     u0: float | None = None,
     y0: float | Sequence[float] = 0.0,
     output: str | None = None,
-    validation: Any = None,
+    validation: Validation | None = None,
 ) -> DesignModel:
     """Return a model for design; refuse a model that no law can be designed on.
 
@@ -292,7 +300,9 @@ def _check_rig(facts: dict[str, Any], rig: Description) -> None:
             )
 
 
-def doubts_about(facts: Mapping[str, Any], design: DesignModel, validation: Any) -> tuple[str, ...]:
+def doubts_about(
+    facts: Mapping[str, Any], design: DesignModel, validation: Validation | None
+) -> tuple[str, ...]:
     """Return the doubts about a law that has the facts `facts` of its design, on a model.
 
     Without validation data, those of the law's design hold, if it has the same model.
@@ -305,12 +315,14 @@ def doubts_about(facts: Mapping[str, Any], design: DesignModel, validation: Any)
     return tuple(printable(str(doubt)[:_MAX_DOUBT]) for doubt in doubts)
 
 
-def _validation_doubts(model: Any, validation: Any) -> list[str]:
+def _validation_doubts(model: PlantModel, validation: Validation | None) -> list[str]:
     """Return why the model is in doubt after its validation, or without one."""
     if not isinstance(model, Fit) or not model.quality:
         return []
     if validation is None:
         return ["the model was not validated: give other data, validation= (--validate F)"]
+    if not isinstance(validation, Signals):
+        validation = as_dataset(validation)
     if model.estimated_from(validation):
         return ["the model was validated on its own estimation data"]
     if residuals(model, validation).rejects:

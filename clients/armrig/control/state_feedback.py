@@ -11,7 +11,7 @@ action is the estimate d: a person can read it as friction in volts.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from armrig_core.control.control_law import MAX_STATES, ControlLaw, Reference
@@ -42,6 +42,9 @@ from armrig.control.plant import DesignModel, Plant, design_model, require_finit
 from armrig.models.state_space import Complex, Matrix, Vector
 from armrig.numerics.quantities import digits, plural
 
+if TYPE_CHECKING:
+    from armrig.control.plant import PlantModel, Validation
+
 _FAST = 0.02
 """Modulus below which a pole of the plant belongs to a dead time: it is not moved."""
 _GAIN_DRAWS, _STDS, _EXACT = 100, 3.0, 1e-6
@@ -51,7 +54,7 @@ _MAX_MS = 10.0
 
 @with_argument_checks
 def place(
-    model: Any,
+    model: PlantModel,
     poles: Sequence[complex],
     *,
     observer: Sequence[complex] | None = None,
@@ -64,7 +67,7 @@ def place(
     y0: float | Sequence[float] = 0.0,
     rig: Description | None = None,
     Ts: float | None = None,
-    validation: Any = None,
+    validation: Validation | None = None,
 ) -> ControlLaw:
     """Return a law of state feedback that places the poles of the closed loop.
 
@@ -145,7 +148,7 @@ def place(
 
 @with_argument_checks
 def lqg(
-    model: Any,
+    model: PlantModel,
     *,
     effort: float = 1.0,
     output: str | None = None,
@@ -157,7 +160,7 @@ def lqg(
     y0: float | Sequence[float] = 0.0,
     rig: Description | None = None,
     Ts: float | None = None,
-    validation: Any = None,
+    validation: Validation | None = None,
 ) -> ControlLaw:
     """Return the law that minimises the sum of (z/g)² + effort · u², with a Kalman predictor.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -20,7 +19,7 @@ from armrig.estimation.data_faults import (
 )
 from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
 from armrig.estimation.fit_warnings import with_doubts
-from armrig.estimation.orders import Integers, as_text, by_channel, by_pair, require_samples
+from armrig.estimation.orders import Integers, Orders, as_text, by_channel, by_pair, require_samples
 from armrig.estimation.stability import (
     instability,
     reflection_warnings,
@@ -46,7 +45,9 @@ _SAME_TOLERANCE = 1e-8  # relative change of Lambda at which the iteration ends
 
 
 @takes_data
-def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool = False) -> Fit:
+def arx(
+    data: Dataset | Signals, *, na: Orders, nb: Orders, nk: Orders = 1, stable: bool = False
+) -> Fit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + e(t) by least squares.
 
     The method is a QR decomposition of the scaled regressors, not the normal equations. Rows that

@@ -20,6 +20,10 @@ from armrig.numerics.checks import MAX_ORDER, require_integers
 from armrig.numerics.quantities import plural
 
 Integers = NDArray[np.int_]
+Orders = int | ArrayLike | Mapping[str, int] | Mapping[tuple[str, str], int]
+"""Order of each channel: one number, an array with a row for each output, or a mapping by names."""
+Integrator = bool | str | Sequence[str]
+"""Whether the outputs integrate, all or the named outputs."""
 Shared = Literal["", "denominator"]
 
 _OF_OUTPUTS = ("na", "nc", "nd")
@@ -32,21 +36,21 @@ def require_samples(orders: str, *, needed: int, got: int) -> None:
         raise InputError(f"{orders} needs at least {plural(needed, 'sample')}, got {got}")
 
 
-def by_channel(name: str, value: Any, data: Signals | Dataset, *, least: int) -> Integers:
+def by_channel(name: str, value: Orders, data: Signals | Dataset, *, least: int) -> Integers:
     """Return the orders (ny, nu) of an argument such as nb; refuse an order below `least`."""
     signals = data.signals()
     keys = [[(y, u) for u in signals.inputs] for y in signals.outputs]
     return _matrix(name, value, keys, least, "a row for each output and a column for each input")
 
 
-def by_pair(name: str, value: Any, data: Signals | Dataset, *, least: int) -> Integers:
+def by_pair(name: str, value: Orders, data: Signals | Dataset, *, least: int) -> Integers:
     """Return the orders (ny, ny) of an argument such as na."""
     outputs = data.signals().outputs
     keys = [[(y, z) for z in outputs] for y in outputs]
     return _matrix(name, value, keys, least, "a row and a column for each output")
 
 
-def by_output(name: str, value: Any, data: Signals | Dataset, *, least: int) -> Integers:
+def by_output(name: str, value: Orders, data: Signals | Dataset, *, least: int) -> Integers:
     """Return the orders (ny,) of an argument such as nc."""
     outputs = data.signals().outputs
     if isinstance(value, Mapping):
@@ -88,9 +92,7 @@ def _as_orders(name: str, values: Any, least: int) -> Integers:
     return np.asarray(values, dtype=np.int_)
 
 
-def integrating_outputs(
-    integrator: bool | str | Sequence[str], data: Signals | Dataset
-) -> tuple[bool, ...]:
+def integrating_outputs(integrator: Integrator, data: Signals | Dataset) -> tuple[bool, ...]:
     """Return whether each output integrates; refuse the name of an unknown output."""
     outputs = data.signals().outputs
     if isinstance(integrator, bool | np.bool_):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from inspect import Parameter, signature
-from typing import Any, TypeVar, Unpack
+from typing import TypeVar, Unpack
 
 from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset, Signals
+from armrig.estimation.orders import Orders
 from armrig.estimation.prediction_error import SearchOptions, estimated
 from armrig.models.fit import Fit
 from armrig.models.structure_table import STRUCTURES
@@ -27,7 +28,12 @@ def _with_options(f: F) -> F:
 @takes_data
 @_with_options
 def oe(
-    data: Dataset | Signals, *, nb: Any, nf: Any, nk: Any = 1, **options: Unpack[SearchOptions]
+    data: Dataset | Signals,
+    *,
+    nb: Orders,
+    nf: Orders,
+    nk: Orders = 1,
+    **options: Unpack[SearchOptions],
 ) -> Fit:
     """Estimate B and F in y_i(t) = sum of B_ij(q)/F_ij(q) u_j(t) + e_i(t).
 
@@ -108,10 +114,10 @@ def oe(
 def armax(
     data: Dataset | Signals,
     *,
-    na: Any,
-    nb: Any,
-    nc: Any,
-    nk: Any = 1,
+    na: Orders,
+    nb: Orders,
+    nc: Orders,
+    nk: Orders = 1,
     **options: Unpack[SearchOptions],
 ) -> Fit:
     """Estimate A, B and C in A_i(q) y_i(t) = sum of B_ij(q) u_j(t) + C_i(q) e_i(t).
@@ -162,10 +168,10 @@ def armax(
 def ararx(
     data: Dataset | Signals,
     *,
-    na: Any,
-    nb: Any,
-    nd: Any,
-    nk: Any = 1,
+    na: Orders,
+    nb: Orders,
+    nd: Orders,
+    nk: Orders = 1,
     **options: Unpack[SearchOptions],
 ) -> Fit:
     """Estimate A, B and D in A_i(q) y_i(t) = sum of B_ij(q) u_j(t) + 1/D_i(q) e_i(t).
@@ -203,11 +209,11 @@ def ararx(
 def bj(
     data: Dataset | Signals,
     *,
-    nb: Any,
-    nc: Any,
-    nd: Any,
-    nf: Any,
-    nk: Any = 1,
+    nb: Orders,
+    nc: Orders,
+    nd: Orders,
+    nf: Orders,
+    nk: Orders = 1,
     **options: Unpack[SearchOptions],
 ) -> Fit:
     """Estimate B, F, C and D in y_i = sum of B_ij(q)/F_ij(q) u_j + C_i(q)/D_i(q) e_i.
@@ -248,12 +254,12 @@ def bj(
 def pem(
     data: Dataset | Signals,
     *,
-    nb: Any,
-    na: Any = 0,
-    nc: Any = 0,
-    nd: Any = 0,
-    nf: Any = 0,
-    nk: Any = 1,
+    nb: Orders,
+    na: Orders = 0,
+    nc: Orders = 0,
+    nd: Orders = 0,
+    nf: Orders = 0,
+    nk: Orders = 1,
     **options: Unpack[SearchOptions],
 ) -> Fit:
     """Estimate the polynomials in A_i y_i = sum of B_ij/F_ij u_j + C_i/D_i e_i for given orders.

@@ -29,6 +29,7 @@ from armrig.estimation.fit_warnings import (
     with_doubts,
 )
 from armrig.estimation.orders import (
+    Integrator,
     Shared,
     as_text,
     integrating_outputs,
@@ -68,7 +69,7 @@ AUTO_LEVEL = 0.05
 class SearchOptions(TypedDict, total=False):
     """Options of a search, which `oe` documents; `estimated` has their defaults."""
 
-    integrator: bool | str | Sequence[str]
+    integrator: Integrator
     offset: bool
     initial: Initial
     stable: bool
@@ -120,7 +121,7 @@ def estimated(
     name: str,
     orders: Mapping[str, Any],
     *,
-    integrator: bool | str | Sequence[str] = False,
+    integrator: Integrator = False,
     offset: bool = False,
     initial: Initial = "estimate",
     stable: bool = False,

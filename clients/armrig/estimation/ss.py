@@ -85,8 +85,8 @@ class _Criterion:
 @takes_signals
 def ss(
     data: Signals,
-    *,
     order: int | None = None,
+    *,
     nk: int | Sequence[int] = 1,
     noise: bool = True,
     output_weights: Sequence[float] | None = None,

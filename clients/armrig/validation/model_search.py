@@ -26,7 +26,7 @@ from armrig.estimation.data_faults import (
     require_moving_output,
     require_no_copies,
 )
-from armrig.estimation.orders import integrating_outputs
+from armrig.estimation.orders import Integrator, integrating_outputs
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
@@ -92,7 +92,7 @@ def search(
     families: Sequence[OfferedName] | None = None,
     orders: Iterable[int] | None = None,
     nk: int | Iterable[int] | None = None,
-    integrator: bool | str | Sequence[str] | None = None,
+    integrator: Integrator | None = None,
     offset: bool | None = None,
     horizon: int | None = None,
     open_loop: bool = False,
@@ -287,7 +287,7 @@ def _plan_search(
     families: Sequence[OfferedName] | None,
     orders: list[int],
     nk: int | Iterable[int] | None,
-    integrator: bool | str | Sequence[str] | None,
+    integrator: Integrator | None,
     offset: bool | None,
     horizon: int | None,
     *,

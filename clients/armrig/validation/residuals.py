@@ -41,7 +41,9 @@ it to 0. Its computed variance is only the error of the differences that approxi
 
 
 def residuals(
-    fit: Fit, data: Dataset | HasDataset | Signals, lags: int | None = None
+    fit: Fit | Dataset | HasDataset | Signals,
+    data: Dataset | HasDataset | Signals | Fit,
+    lags: int | None = None,
 ) -> ResidualTest:
     """Test whether the one-step residuals are white and independent of the inputs.
 
@@ -80,7 +82,7 @@ def residuals(
     fit : Fit
         Model with the outputs and inputs of the data.
     data : Dataset or Signals
-        N samples, or a recording.
+        N samples, or a recording. Model and data may be exchanged, as in `armrig.compare`.
     lags : int, optional
         Largest lag L, from 1 to half the number of residuals; 25 by default, fewer for short data.
 
@@ -121,7 +123,7 @@ def residuals(
       no dynamics missing (p = 0.02...)
       no feedback (p = 0.5...)
     """
-    data = _matching_data(fit, data)
+    fit, data = _model_and_data(fit, data)
     on_own_data = fit.estimated_from(data)
     parts, J = prediction_errors(fit, data, on_own_data=on_own_data), parameters_of(fit)
     signals = data.signals()
@@ -223,18 +225,18 @@ def residuals(
     )
 
 
-def _matching_data(fit: Fit, data: Dataset | HasDataset | Signals) -> Dataset | Signals:
-    """Return data with the channels of the model; refuse other data."""
+def _model_and_data(fit: object, data: object) -> tuple[Fit, Dataset | Signals]:
+    """Return a model and data in any order, with the model's channels; refuse anything else."""
+    if isinstance(data, Fit):
+        fit, data = data, fit
     if not isinstance(fit, Fit):
-        raise InputTypeError(
-            f"the model must come first, got a {type(fit).__name__}: residuals(fit, data)"
-        )
+        raise InputTypeError(f"the model is a {type(fit).__name__}: residuals(fit, data)")
     if not fit.quality:
         raise InputError(f"{fit.label} was not estimated: it has no noise model to test")
     if not isinstance(data, Signals) and (fit.ny, fit.nu) == (1, 1):
-        data = as_dataset(data)
+        data = as_dataset(data)  # type: ignore[arg-type]
     require_same_signals(fit, data)  # type: ignore[arg-type]
-    return data  # type: ignore[return-value]
+    return fit, data  # type: ignore[return-value]
 
 
 def _without_rounding(
