@@ -23,7 +23,7 @@ Integers = NDArray[np.int_]
 Orders = int | ArrayLike | Mapping[str, int] | Mapping[tuple[str, str], int]
 """Order of each channel: one number, an array with a row for each output, or a mapping by names."""
 Integrator = bool | str | Sequence[str]
-"""Whether the outputs integrate, all or the named outputs."""
+"""True if all outputs integrate their input, or the names of the outputs that do."""
 Shared = Literal["", "denominator"]
 
 _OF_OUTPUTS = ("na", "nc", "nd")
