@@ -21,6 +21,7 @@ from armrig_daemon.decisions import (
     stopping,
     transitions,
 )
+from armrig_daemon.decisions import requests as core_requests
 from armrig_daemon.decisions.state import ActiveRun, Phase, Rules, RunLaw
 from armrig_daemon.emulator import board, firmware, requests
 from armrig_daemon.emulator.firmware import NEVER
@@ -56,7 +57,7 @@ def planted(mutant: Mutant) -> Iterator[None]:
 
 _leased, _report_missing, _carry_out = orders._handle_leased, gaps.report_missing, step.carry_out
 _volts, _feed = board.volts, decoder.feed
-_config, _decide, _started = Rules.config, step._decide, transitions._handle_started
+_config, _decide = Rules.config, step._decide
 _observe, _watched, _reset = output_limits.observe, output_limits._next_watch, orders._reset
 _law_decide, _law_observe, _law_outputs = evaluation.decide, evaluation.observe, evaluation._outputs
 _begin_control, _control_decide = transitions._begin_control, control.decide
@@ -139,11 +140,6 @@ def _rests_at_0(self: Rules, *args: Any, **kwargs: Any) -> Any:
 def _0_without_a_command(state: Any, now_ns: int, k: int) -> Any:
     state, code, done = _decide(state, now_ns, k)
     return state, 0 if code == state.rules.rest_code else code, done
-
-
-def _0_at_the_start(state: Any, now_ns: int, asked: Any) -> Any:
-    state, done = _started(state, now_ns, asked)
-    return replace(state, code=0) if state.run is not None else state, done
 
 
 def _0_after(decided: Any) -> Any:
@@ -464,7 +460,7 @@ MUTANTS = (
     ),
     Mutant(
         name="a request that is not sent again",
-        puts=((transitions, "retry", _no_retry),),
+        puts=((core_requests, "retry", _no_retry),),
         breaks=frozenset({"T1", "S2", "S3", "S4", "S6"}),
     ),
 )

@@ -6,19 +6,16 @@ from armrig_protocol import messages as wire
 from msgspec.structs import replace
 
 from armrig_daemon.decisions import outcomes
-from armrig_daemon.decisions.faults import Fault, Id, name_of, of_device
+from armrig_daemon.decisions.faults import Fault, Id, of_device
 from armrig_daemon.decisions.outcomes import Step, Then, log
 from armrig_daemon.decisions.phases import On, change_phase
-from armrig_daemon.decisions.state import DecisionState, Phase, RequestKind, RoundTrip
-
-_TYPES = {
-    RequestKind.HELLO: wire.TYPES[wire.Hello],
-    RequestKind.CONFIGURE: wire.TYPES[wire.Config],
-    RequestKind.ARM: wire.TYPES[wire.Arm],
-    RequestKind.START: wire.TYPES[wire.Start],
-    RequestKind.STOP: wire.TYPES[wire.Stop],
-    RequestKind.CLEAR: wire.TYPES[wire.ClearFault],
-}
+from armrig_daemon.decisions.request_table import REQUESTS
+from armrig_daemon.decisions.state import (
+    DecisionState,
+    Phase,
+    RequestKind,
+    RoundTrip,
+)
 
 
 def note_echo(state: DecisionState, echo: int) -> Step:
@@ -68,24 +65,10 @@ def ack(state: DecisionState, reply: wire.Ack) -> Step:
     if asked is None or link is None or reply.of_seq != asked.seq:
         return state, [outcomes.NoteState(reply.state)]
     if reply.code == wire.Code.OK:
-        if reply.of_type == _TYPES[asked.want]:
+        if reply.of_type == wire.TYPES[REQUESTS[asked.want].message]:
             state = state.linked(last_round_trip_ns=max(link.last_round_trip_ns, asked.sent_ns))
         return state, [outcomes.NoteState(reply.state)]
-    if reply.code == wire.Code.STALE:
-        if asked.want is RequestKind.HELLO and reply.state in (wire.State.ARMED, wire.State.RUN):
-            # Repeated old frames keep the device in this state: send STOP at once, before HELLO.
-            return state, [outcomes.Transmit((wire.Stop(0, 0),))]
-        return state, []  # the request will be sent again, with a newer seq
-    if (
-        asked.want is RequestKind.STOP
-        and state.phase is Phase.FAULT
-        and reply.code == wire.Code.WRONG_STATE
-    ):
-        # If the state shows that the device has stopped by itself, STOP is done; otherwise repeat
-        # STOP.
-        return state, [outcomes.NoteState(reply.state)]
-    text = f"the device refuses {asked.want}: {name_of(wire.Code, reply.code)}"
-    return state, [outcomes.GiveUp(text)]
+    return REQUESTS[asked.want].refusal(state, asked, reply)
 
 
 def event(state: DecisionState, reply: wire.Event) -> Step:

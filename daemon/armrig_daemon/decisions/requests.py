@@ -8,8 +8,9 @@ from armrig_protocol.frame import encode
 from msgspec.structs import replace
 
 from armrig_daemon import pipe
-from armrig_daemon.decisions import outcomes
-from armrig_daemon.decisions.outcomes import Step, answer, refuse
+from armrig_daemon.decisions import outcomes, transitions
+from armrig_daemon.decisions.outcomes import Step, Then, answer, refuse
+from armrig_daemon.decisions.request_table import REQUESTS
 from armrig_daemon.decisions.state import (
     Action,
     DecisionState,
@@ -57,30 +58,16 @@ def ask(state: DecisionState, now_ns: int, asked: outcomes.Ask) -> Step:
     The request replaces a pending request; the order of the pending request is answered.
     """
     want, order, ts_us, scheduled, tries = asked
-    link, in_force = state.link, state.configuration
+    link = state.link
     if link is None:
         return replace(state, asked=None), refuse(order, "the link is down", RefusalCode.NO_LINK)
     seq = link.seq
-    config_crc, nonce = (in_force.config_crc, in_force.nonce) if in_force else (0, 0)
     before = state.asked.order if state.asked else None
     overtaken = [] if before is order else _overtaken(before, want, state.outcome)
     if want is RequestKind.HELLO and tries == 1:
         state = state.linked(came=Traffic())
-    boot_id = state.device.boot_id if state.device else 0
-    request: wire.Message
-    match want:
-        case RequestKind.HELLO:
-            request = wire.Hello(0, seq, wire.VERSION, wire.SCHEMA_HASH)
-        case RequestKind.CONFIGURE:
-            request = state.rules.config(ts_us, seq, scheduled=scheduled)
-        case RequestKind.ARM:
-            request = wire.Arm(0, seq, boot_id, config_crc, nonce)
-        case RequestKind.START:
-            request = wire.Start(0, seq, state.run.samples if state.run else 0, nonce)
-        case RequestKind.STOP:
-            request = wire.Stop(0, seq)
-        case RequestKind.CLEAR:
-            request = wire.ClearFault(0, seq, link.token)
+    row = REQUESTS[want]
+    request = row.message(0, seq, *row.fields(state, asked))
     pending = PendingRequest(want, now_ns, seq, tries, ts_us, scheduled, order)
     # The line may hold noise before HELLO; a 00 ends the noise.
     lead = b"\0" if want is RequestKind.HELLO else b""
@@ -95,3 +82,33 @@ def _overtaken(order: pipe.Order | None, want: RequestKind, outcome: str) -> lis
     stopped = want is RequestKind.STOP and outcome
     text = f"not begun: {outcome}" if stopped else f"overtaken by {want}"
     return refuse(order, text, RefusalCode.OVERTAKEN)
+
+
+def retry_ns(asked: PendingRequest) -> int:
+    """Return the time at which a request without effect is sent again."""
+    return asked.sent_ns + REQUESTS[asked.want].retry_ns
+
+
+def retry(state: DecisionState, now_ns: int) -> Step:
+    """Send the request again; after too many tries, cancel it and stop a motor that may turn."""
+    asked = state.asked
+    if asked is None or now_ns < retry_ns(asked):
+        return state, []
+    if not _is_last_try(asked):
+        again = outcomes.Ask(asked.want, asked.order, asked.ts_us, asked.scheduled, asked.tries + 1)
+        return state, [again, Then.REPORT_SILENCE]
+    return give_up(state, now_ns, f"the device does not answer {asked.want}")
+
+
+def _is_last_try(asked: PendingRequest) -> bool:
+    tries = REQUESTS[asked.want].tries
+    return tries is not None and asked.tries >= tries
+
+
+def give_up(state: DecisionState, now_ns: int, error: str) -> Step:
+    """Cancel the pending request, and refuse its order."""
+    asked = state.asked
+    done = refuse(asked.order if asked else None, error, RefusalCode.NO_EFFECT)
+    failure = REQUESTS[asked.want].failure if asked else transitions.reconnect
+    state, more = failure(replace(state, asked=None), now_ns, error)
+    return state, [*done, *more]

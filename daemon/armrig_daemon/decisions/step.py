@@ -1,10 +1,18 @@
 """All decisions of the daemon: `step(state, now_ns, events) -> (state', actions)`.
 
-The function is pure: no clock, I/O, randomness, logging or threads. It keeps these invariants of
-ARCHITECTURE.md. Every code other than rest that the function sends belongs to a command of the
-lease's holder (S5). The code is within the limits (S1), and the last round trip is recent enough
-(S4). A fault stays latched until a reset (S6). A limited output is inside its limits, or the motor
-stops.
+The function is pure: no clock, I/O, randomness, logging or threads. Its rules:
+
+1. The phase changes only by the table of `phases.py`. A fault stays latched until a reset (S6).
+2. At most one request to the device is pending. The table of `request_table.py` determines when it
+   is sent again, what shows its effect, and what follows.
+3. A module below returns outcomes and calls no other module; `carry_out` performs the outcomes in
+   their order.
+4. A tick sends one EXCHANGE. Its code belongs to a command of the lease's holder (S5) and is within
+   the limits (S1); in any other case it is the code of rest.
+5. If the last round trip is too old (S4), the host paused, or a limited output is outside its
+   limits, a driven motor is stopped with a fault.
+6. Each number k is published once, as a sample or as missing.
+7. An order is answered once: when its request takes effect, fails or is replaced.
 """
 
 from __future__ import annotations
@@ -22,6 +30,7 @@ from msgspec.structs import replace
 from armrig_daemon.decisions import (
     clock_comparison,
     control,
+    effects,
     gaps,
     orders,
     outcomes,
@@ -32,7 +41,6 @@ from armrig_daemon.decisions import (
     sampling,
     setpoints,
     stopping,
-    transitions,
 )
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.outcomes import Step, Then, log, refuse, report_state, silence
@@ -93,7 +101,7 @@ def step(state: DecisionState, now_ns: int, events: Iterable[Event]) -> Decided:
 def wake_ns(state: DecisionState) -> int:
     """Return the time at which the core needs a `Wakeup` if no event arrives earlier, in ns."""
     if state.asked is not None:
-        return transitions.retry_ns(state.asked)
+        return requests.retry_ns(state.asked)
     link = state.link
     return _NEVER if link is None else link.last_send_ns + state.rules.watchdog_ms * 1_000_000 // 3
 
@@ -129,7 +137,7 @@ def carry_out(now_ns: int, decided: Step) -> Decided:
                 state, more = requests.transmit(state, now_ns, following.messages)
             case outcomes.NoteState():
                 reported, ended = following
-                state, more = transitions.note_state(state, now_ns, reported, ended=ended)
+                state, more = effects.note_state(state, now_ns, reported, ended=ended)
             case outcomes.Trip():
                 state, more = stopping.trip(state, now_ns, following.fault)
             case outcomes.Halt():
@@ -137,7 +145,7 @@ def carry_out(now_ns: int, decided: Step) -> Decided:
             case Then.LEAVE:
                 state, more = stopping.leave(state)
             case outcomes.GiveUp():
-                state, more = transitions.give_up(state, now_ns, following.error)
+                state, more = requests.give_up(state, now_ns, following.error)
             case Then.FORGET:
                 state = replace(state, asked=None, outcome="", outcome_code=None)
             case outcomes.EndRun():
@@ -203,10 +211,8 @@ def handle_message(state: DecisionState, now_ns: int, message: wire.Message) -> 
             decided = replies.handle_reboot(state, now_ns)
         case wire.Sample():
             return handle_sample(state, now_ns, message)
-        case wire.HelloReply():
-            decided = transitions.handle_hello(state, now_ns, message)
-        case wire.ConfigReply():
-            decided = transitions.handle_config(state, now_ns, message)
+        case wire.HelloReply() | wire.ConfigReply():
+            decided = effects.handle_reply(state, now_ns, message)
         case wire.Ack():
             decided = replies.ack(state, message)
         case wire.Event():
@@ -228,7 +234,7 @@ def handle_sample(state: DecisionState, now_ns: int, m: wire.Sample) -> Decided:
         state, done = carry_out(now_ns, replies.note_echo(state, m.echo))
         # The device's state is handled before the sample, because the state RUN confirms START and
         # thereby determines k.
-        state, actions = carry_out(now_ns, transitions.note_state(state, now_ns, m.state))
+        state, actions = carry_out(now_ns, effects.note_state(state, now_ns, m.state))
         done += actions
         arrived = sampling.of_run(state, now_ns, m)
     else:
@@ -241,7 +247,7 @@ def handle_sample(state: DecisionState, now_ns: int, m: wire.Sample) -> Decided:
         done.append(RoundTrip(now_ns - arrived.answered.sent_ns))
         state = clock_comparison.by_sample(state, now_ns, arrived.answered, m)
         # If the device has stopped, the sample is still valid: handle the state after the sample.
-        state, actions = carry_out(now_ns, transitions.note_state(state, now_ns, m.state))
+        state, actions = carry_out(now_ns, effects.note_state(state, now_ns, m.state))
         done += actions
     if state.run is not None and state.run.control:
         state, actions = carry_out(now_ns, control.observe(state, arrived.sample))
@@ -267,7 +273,7 @@ def handle_sample(state: DecisionState, now_ns: int, m: wire.Sample) -> Decided:
 
 def _wakeup(state: DecisionState, now_ns: int) -> Step:
     if state.asked is not None:
-        return transitions.retry(state, now_ns)
+        return requests.retry(state, now_ns)
     link = state.link
     if link is None:
         return state, []
@@ -310,7 +316,7 @@ def _tick(state: DecisionState, now_ns: int, tick: Tick) -> Decided:
         # If events never pause, no Wakeup comes. A STOP may have replaced the pending HELLO: send
         # HELLO again (T1).
         hello: Step = state, [outcomes.Ask(RequestKind.HELLO)]
-        return carry_out(now_ns, transitions.retry(state, now_ns) if state.asked else hello)
+        return carry_out(now_ns, requests.retry(state, now_ns) if state.asked else hello)
     rules, driving, ts_us = state.rules, state.phase in _DRIVING, state.ts_us
     fault: Fault | None = None
     if pause_ns > rules.pause_ns(ts_us, scheduled=self_paced):

@@ -1,4 +1,7 @@
-"""Transitions of the device: each request with its effect, its refusal and its retry."""
+"""Transitions by requests: what follows the effect of a request, its refusal or its failure.
+
+`request_table.py` has them by request; their first lines are its text.
+"""
 
 from __future__ import annotations
 
@@ -35,112 +38,35 @@ from armrig_daemon.decisions.state import (
 )
 from armrig_daemon.pipe import Arm, Disarm, Order, Reset, Run, RunStarted, Set, Stop
 
-_RETRY_NS = {RequestKind.HELLO: 100_000_000, RequestKind.STOP: 20_000_000}
-_OTHER_RETRY_NS = 50_000_000
-_MAX_TRIES = 5
+MAX_TRIES = 5
 CARE_PERIOD_US = 10_000
 """Period of the loop's ticks during a scheduled run, in µs."""
-_EXPECTED = {Phase.ARMED: DeviceState.ARMED, Phase.ACTIVE: DeviceState.RUN}
-_DRIVES = (DeviceState.ARMED, DeviceState.RUN)
-_LATCHED = (DeviceState.FAULT, DeviceState.ESTOP)
-_KNOWN = (DeviceState.IDLE, DeviceState.READY, *_DRIVES, *_LATCHED)
+EXPECTED_STATES = {Phase.ARMED: DeviceState.ARMED, Phase.ACTIVE: DeviceState.RUN}
+DRIVING_STATES = (DeviceState.ARMED, DeviceState.RUN)
+LATCHED_STATES = (DeviceState.FAULT, DeviceState.ESTOP)
+_KNOWN = (DeviceState.IDLE, DeviceState.READY, *DRIVING_STATES, *LATCHED_STATES)
 
 
-def retry_ns(asked: PendingRequest) -> int:
-    """Return the time at which a request without effect is sent again."""
-    return asked.sent_ns + _RETRY_NS.get(asked.want, _OTHER_RETRY_NS)
+def reconnect(state: DecisionState, now_ns: int, error: str) -> Step:
+    """Latch a fault if the motor may turn; otherwise send HELLO."""
+    if state.phase in EXPECTED_STATES:
+        return state, [outcomes.Trip(Fault(Id.REQUEST, error))]
+    return state, [log(now_ns, "warning", error), outcomes.Ask(RequestKind.HELLO)]
 
 
-def retry(state: DecisionState, now_ns: int) -> Step:
-    """Send the request again; after too many tries, cancel it and stop a motor that may turn."""
-    asked = state.asked
-    if asked is None or now_ns < retry_ns(asked):
-        return state, []
-    if asked.want is RequestKind.HELLO or asked.tries < _MAX_TRIES:
-        again = outcomes.Ask(asked.want, asked.order, asked.ts_us, asked.scheduled, asked.tries + 1)
-        return state, [again, Then.REPORT_SILENCE]
-    return give_up(state, now_ns, f"the device does not answer {asked.want}")
+def leave_to_watchdog(state: DecisionState, now_ns: int, error: str) -> Step:
+    """Latch a fault; only the device's watchdog can stop the motor now."""
+    end = outcomes.EndRun()
+    if state.quitting:
+        return state, [end, Then.LEAVE]
+    if state.phase is Phase.FAULT:
+        return state, [end, log(now_ns, "error", error), Then.REPORT]
+    # The run is over: its outcome must not be the outcome of a later run.
+    return state, [end, outcomes.Trip(Fault(Id.REQUEST, error)), Then.FORGET]
 
 
-def give_up(state: DecisionState, now_ns: int, error: str) -> Step:
-    """Cancel the pending request, and refuse its order."""
-    asked = state.asked
-    state = replace(state, asked=None)
-    done = refuse(asked.order if asked else None, error, RefusalCode.NO_EFFECT)
-    if asked is not None and asked.want is RequestKind.STOP:
-        # The host cannot do more: only the device's watchdog can stop the motor now.
-        end = outcomes.EndRun()
-        if state.quitting:
-            return state, [*done, end, Then.LEAVE]
-        if state.phase is Phase.FAULT:
-            return state, [*done, end, log(now_ns, "error", error), Then.REPORT]
-        # The run is over: its outcome must not be the outcome of a later run.
-        return state, [*done, end, outcomes.Trip(Fault(Id.REQUEST, error)), Then.FORGET]
-    if state.phase in (Phase.ARMED, Phase.ACTIVE):
-        return state, [*done, outcomes.Trip(Fault(Id.REQUEST, error))]
-    return state, [*done, log(now_ns, "warning", error), outcomes.Ask(RequestKind.HELLO)]
-
-
-def note_state(state: DecisionState, now_ns: int, reported: int, *, ended: bool = False) -> Step:
-    """Handle the state that a frame reports; this state shows whether a request took effect.
-
-    Parameters
-    ----------
-    reported : int
-        State of the device in the frame.
-    ended : bool, default False
-        True if the frame reports that the device has ended the run after its last sample.
-    """
-    link = state.link
-    before = 0 if link is None else link.device_state
-    if reported != before:
-        state = state.linked(device_state=reported)
-    if state.asked is not None:
-        reached = {
-            RequestKind.ARM: reported == DeviceState.ARMED,
-            RequestKind.START: reported == DeviceState.RUN,
-            RequestKind.STOP: reported not in _DRIVES,
-            RequestKind.CLEAR: reported == DeviceState.IDLE,
-        }
-        if reached.get(state.asked.want, False):
-            return _handle_effect(state, now_ns, state.asked)
-    run = state.run
-    idle = reported == DeviceState.IDLE and before == DeviceState.RUN
-    if idle and run and run.scheduled and (ended or _is_over(state, run, now_ns)):
-        # The device has reached k_stop; its earlier samples have arrived before this frame.
-        return rest(state, None, outcomes.EndRun(complete=True))
-    expected = _EXPECTED.get(state.phase)
-    latched = reported in _LATCHED
-    strayed = expected is not None and state.asked is None and reported != expected
-    if strayed and not latched:
-        name = name_of(DeviceState, reported)
-        cause = f"the device is in {name}, which the daemon did not request"
-        return state, [outcomes.Trip(Fault(Id.STATE, cause))]
-    if latched and before not in _LATCHED and state.phase is not Phase.FAULT:
-        cause = f"the device is in {DeviceState(reported).name}"
-        return state, [outcomes.Trip(Fault(Id.DEVICE, cause))]
-    return state, []
-
-
-def _is_over(state: DecisionState, run: ActiveRun, now_ns: int) -> bool:
-    """Return whether a scheduled run must be over by now, even if its end was not received."""
-    return run.due >= run.samples or now_ns >= run.t_zero_ns + run.samples * state.ts_us * 1000
-
-
-def _handle_effect(state: DecisionState, now_ns: int, asked: PendingRequest) -> Step:
-    state = replace(state, asked=None)
-    match asked.want:
-        case RequestKind.ARM:
-            return _handle_armed(state, now_ns, asked)
-        case RequestKind.START:
-            return _handle_started(state, now_ns, asked)
-        case RequestKind.CLEAR:
-            return state, [outcomes.Ask(RequestKind.HELLO, asked.order)]
-        case _:
-            return _handle_stopped(state, asked)
-
-
-def _handle_armed(state: DecisionState, now_ns: int, asked: PendingRequest) -> Step:
+def handle_armed(state: DecisionState, now_ns: int, asked: PendingRequest) -> Step:
+    """Give the lease to the owner, or fill the queue of a scheduled run."""
     order = asked.order
     if isinstance(order, Run):
         return state, [outcomes.Fill(order)]
@@ -162,7 +88,8 @@ def _handle_armed(state: DecisionState, now_ns: int, asked: PendingRequest) -> S
     return state, [Then.REPORT, *answer(order, granted)]
 
 
-def _handle_started(state: DecisionState, now_ns: int, asked: PendingRequest) -> Step:
+def handle_started(state: DecisionState, now_ns: int, asked: PendingRequest) -> Step:
+    """Begin the run, or apply the voltage that a client holds."""
     order = asked.order
     if state.lease is None or not isinstance(order, Run | Set):
         return state, [outcomes.Trip(Fault(Id.INTERNAL, "started without an owner"))]
@@ -197,12 +124,18 @@ def _begin_control(state: DecisionState, order: Run) -> RunLaw | UnsetType:
     return RunLaw(law, latch, order.reference, begin(law), order.r_range)
 
 
-def _handle_stopped(state: DecisionState, asked: PendingRequest) -> Step:
+def handle_stopped(state: DecisionState, now_ns: int, asked: PendingRequest) -> Step:
+    """End the run and the lease, then send CONFIG; a run in scheduled mode goes on."""
     if isinstance(asked.order, Run):
         # The device was stopped only to change to scheduled mode: CONFIG and ARM follow.
         ts_us = state.lease.ts_us if state.lease else state.rules.ts_us
         return state, [outcomes.Ask(RequestKind.CONFIGURE, asked.order, ts_us, scheduled=True)]
     return rest(state, asked.order, outcomes.EndRun())
+
+
+def handle_cleared(state: DecisionState, now_ns: int, asked: PendingRequest) -> Step:
+    """Send HELLO with the same order."""
+    return state, [outcomes.Ask(RequestKind.HELLO, asked.order)]
 
 
 def rest(state: DecisionState, order: Order | None, end: outcomes.EndRun) -> Step:
@@ -215,11 +148,10 @@ def rest(state: DecisionState, order: Order | None, end: outcomes.EndRun) -> Ste
     return state, [end, outcomes.Ask(RequestKind.CONFIGURE, order, state.rules.ts_us)]
 
 
-def handle_hello(state: DecisionState, now_ns: int, reply: wire.HelloReply) -> Step:
-    """Handle the answer to HELLO: a device that fits is configured, then sampled at 0 V."""
-    asked = state.asked
-    if asked is None or asked.want is not RequestKind.HELLO:
-        return state, []  # an unrequested reply proves no round trip
+def handle_hello(
+    state: DecisionState, now_ns: int, asked: PendingRequest, reply: wire.HelloReply
+) -> Step:
+    """Send CONFIG, after STOP to a device that drives; latch a fault if the device does not fit."""
     if reply.state == DeviceState.BOOT:
         return state, []  # the device still boots: HELLO stays pending, and is sent again
     clock = state.clock
@@ -242,12 +174,12 @@ def handle_hello(state: DecisionState, now_ns: int, reply: wire.HelloReply) -> S
         return _latch(state, now_ns, asked, Fault(Id.FIRMWARE, error))
     if unfit := _unfit(reply, state.rules):
         return _latch(state, now_ns, asked, unfit)
-    if reply.state in _LATCHED:
+    if reply.state in LATCHED_STATES:
         fault = Fault(Id.DEVICE, f"the device is in {DeviceState(reply.state).name}")
         if reply.cause in OF_DEVICE:
             fault = Fault(Id.DEVICE, f"{fault.cause}: {of_device(reply.cause)}", reply.cause)
         return _latch(state, now_ns, asked, fault)
-    if reply.state in _DRIVES:
+    if reply.state in DRIVING_STATES:
         # The device still drives the motor, for another host or because each STOP was lost.
         return state, [outcomes.Ask(RequestKind.STOP, asked.order)]
     if state.phase is Phase.FAULT and asked.order is None:
@@ -294,23 +226,10 @@ def _latch(state: DecisionState, now_ns: int, asked: PendingRequest, fault: Faul
     return state, [*done, Then.REPORT]
 
 
-def handle_config(state: DecisionState, now_ns: int, reply: wire.ConfigReply) -> Step:
-    """Handle the answer to CONFIG, which contains the CRC of the accepted configuration."""
-    asked = state.asked
-    in_force = state.configuration
-    if (
-        asked is not None
-        and asked.want is RequestKind.ARM
-        and in_force is not None
-        and _is_renewed(in_force, reply)
-    ):
-        # CONFIG was sent twice, because its answer was late: only the second nonce can arm.
-        if asked.tries >= _MAX_TRIES:
-            return state, []
-        state = replace(state, configuration=replace(in_force, nonce=reply.nonce))
-        return state, [outcomes.Ask(RequestKind.ARM, asked.order, tries=asked.tries + 1)]
-    if asked is None or asked.want is not RequestKind.CONFIGURE:
-        return state, []
+def handle_config(
+    state: DecisionState, now_ns: int, asked: PendingRequest, reply: wire.ConfigReply
+) -> Step:
+    """Rest at 0 V, or send ARM for an owner; a refusal latches a fault."""
     if reply.code != Code.OK:
         error = f"the device refuses the configuration: {name_of(Code, reply.code)}"
         if state.rules.oversampling > 1:
@@ -319,13 +238,14 @@ def handle_config(state: DecisionState, now_ns: int, reply: wire.ConfigReply) ->
                 f"at Ts={asked.ts_us / 1e6:g} s: lower the oversampling, or sample slower"
             )
         if isinstance(asked.order, Arm | Run):
-            return give_up(state, now_ns, error)
+            return state, [outcomes.GiveUp(error)]
         return _latch_refusal(state, now_ns, asked, error)
     wanted = state.rules.config(asked.ts_us, 0, scheduled=asked.scheduled)
     if reply.config_crc != config_crc(wanted):
-        if asked.tries < _MAX_TRIES:
+        if asked.tries < MAX_TRIES:
             return state, []  # a late answer to an earlier CONFIG; CONFIG is sent again later
-        return give_up(state, now_ns, "the device accepted another configuration than was sent")
+        text = "the device accepted another configuration than was sent"
+        return state, [outcomes.GiveUp(text)]
     before_us = state.pace_us
     pace_us = CARE_PERIOD_US if asked.scheduled else asked.ts_us
     arms = isinstance(asked.order, Arm | Run)
@@ -362,7 +282,23 @@ def _latch_refusal(state: DecisionState, now_ns: int, asked: PendingRequest, err
     return state, [*done, *follow]
 
 
-def _is_renewed(in_force: Configuration, reply: wire.ConfigReply) -> bool:
-    """Return whether the configuration in force was accepted again, under another nonce."""
-    same = reply.code == Code.OK and reply.config_crc == in_force.config_crc
-    return same and reply.nonce != in_force.nonce
+def handle_refusal(state: DecisionState, asked: PendingRequest, reply: wire.Ack) -> Step:
+    """Give up; after STALE the request is sent again, with a newer seq."""
+    if reply.code == Code.STALE:
+        return state, []
+    text = f"the device refuses {asked.want}: {name_of(Code, reply.code)}"
+    return state, [outcomes.GiveUp(text)]
+
+
+def handle_refusal_of_hello(state: DecisionState, asked: PendingRequest, reply: wire.Ack) -> Step:
+    """Send STOP at once if repeated old frames keep the device driving."""
+    if reply.code == Code.STALE and reply.state in DRIVING_STATES:
+        return state, [outcomes.Transmit((wire.Stop(0, 0),))]
+    return handle_refusal(state, asked, reply)
+
+
+def handle_refusal_of_stop(state: DecisionState, asked: PendingRequest, reply: wire.Ack) -> Step:
+    """Give up; in a fault, the device's state may show that it has stopped by itself."""
+    if state.phase is Phase.FAULT and reply.code == Code.WRONG_STATE:
+        return state, [outcomes.NoteState(reply.state)]
+    return handle_refusal(state, asked, reply)

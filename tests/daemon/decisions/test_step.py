@@ -677,4 +677,4 @@ def test_a_sample_enters_each_module_once(scheduled: bool) -> None:
 
     most = reduce(or_, entered[1::2])
     assert {module for module, n in most.items() if n > 1} <= {"state", "step"}
-    assert {"sampling", "gaps", "transitions", "setpoints"} <= most.keys()
+    assert {"sampling", "gaps", "effects", "setpoints"} <= most.keys()

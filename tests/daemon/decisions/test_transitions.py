@@ -6,7 +6,7 @@ import pytest
 from armrig_core.rig.emulated import EMULATOR_UID
 from armrig_core.rig.volts import code_of
 from armrig_daemon import pipe
-from armrig_daemon.decisions import orders, outcomes, transitions
+from armrig_daemon.decisions import effects, orders, outcomes, requests
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.outcomes import NO_DEVICE
 from armrig_daemon.decisions.state import (
@@ -89,7 +89,7 @@ def test_retry_without_a_request_does_nothing() -> None:
     state = rested().loop.state
 
     assert state.asked is None
-    assert transitions.retry(state, 1 << 60) == (state, [])
+    assert requests.retry(state, 1 << 60) == (state, [])
 
 
 # -- requests that fail --------------------------------------------------------------------------
@@ -148,8 +148,8 @@ def test_a_fault_is_cleared_when_the_device_is_idle(state: DeviceState) -> None:
     at = changed(bench.loop.state, phase=Phase.FAULT, device_state=int(DeviceState.FAULT))
     at = awaiting(at, RequestKind.CLEAR, Reset(order=8))
 
-    waiting, _ = transitions.note_state(at, bench.ports.now, int(state))
-    _, follow = transitions.note_state(at, bench.ports.now, int(DeviceState.IDLE))
+    waiting, _ = effects.note_state(at, bench.ports.now, int(state))
+    _, follow = effects.note_state(at, bench.ports.now, int(DeviceState.IDLE))
 
     assert waiting.asked == at.asked
     assert follow == [outcomes.Ask(RequestKind.HELLO, Reset(order=8))]
@@ -160,7 +160,7 @@ def test_stop_is_confirmed_by_a_state_without_voltage(state: DeviceState) -> Non
     bench = driven()
     at = awaiting(bench.loop.state, RequestKind.STOP)
 
-    after, _ = transitions.note_state(at, bench.ports.now, int(state))
+    after, _ = effects.note_state(at, bench.ports.now, int(state))
 
     drives = state in (DeviceState.ARMED, DeviceState.RUN)
     assert (after.asked == at.asked) == drives
