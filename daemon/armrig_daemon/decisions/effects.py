@@ -18,12 +18,7 @@ from armrig_daemon.decisions.state import (
     Phase,
     RequestKind,
 )
-from armrig_daemon.decisions.transitions import (
-    EXPECTED_STATES,
-    LATCHED_STATES,
-    MAX_TRIES,
-    rest,
-)
+from armrig_daemon.decisions.transitions import EXPECTED_STATES, LATCHED_STATES, MAX_TRIES, rest
 
 
 def handle_reply(

@@ -180,6 +180,13 @@ ROWS: dict[str, Row] = {
         _ack(Device.READY, 200),
         "safe, awaits HELLO; answers 71 the device refuses ARM: 200; warning; sends Hello",
     ),
+    "a refused STOP of a driven device leaves the motor to the watchdog": Row(
+        rested,
+        IN_FAULT,
+        (STOP, None),
+        _ack(Device.RUN, Code.BAD_VALUE, kind=Stop),
+        "fault; error; State",
+    ),
     "ACK(STALE) refuses nothing": Row(
         rested, {}, (ARMING, ARM), _ack(Device.READY, Code.STALE), "safe, awaits ARM"
     ),
