@@ -8,7 +8,7 @@ import numpy as np
 
 from armrig.models.equation import letters, whiteness_sentence
 from armrig.models.fit import Fit
-from armrig.models.structure_table import with_article
+from armrig.models.structure_table import row_of, with_article
 from armrig.numerics.quantities import (
     error,
     join_names,
@@ -252,8 +252,10 @@ def _structure_verdicts(study: Study) -> Iterator[str]:
     """Yield an explanation for each ARX model that simulates far worse than the best model."""
     best = study.best
     limit = MIN_BIASED_RMS_RATIO * best.comparison.rms_error
-    for m in study.estimated if best.model.structure != "arx" else ():
-        if m.model.structure == "arx" and m.comparison.rms_error > limit:
+    if row_of(best.model.structure).equation_error:
+        return
+    for m in study.estimated:
+        if row_of(m.model.structure).equation_error and m.comparison.rms_error > limit:
             yield (
                 f"{m.name} and {best.name} disagree. ARX assumes that the noise passes through "
                 "1/A. Here the noise is added to the angle, so the ARX transfer function is "

@@ -250,28 +250,20 @@ def study(
     if several and not of_arm:
         data = [detrend(dataset) for dataset in data]
     estimation, validation = data if len(data) > 1 else data[0].split(2)
-    each = [
-        [dataset.dataset(name) for name in dataset.outputs]
-        if isinstance(dataset, Signals)
-        else [dataset]
-        for dataset in (estimation, validation)
-    ]
+    by_output = _by_output(estimation)
     orders, doubt = orders or Orders(), ""
     if not of_arm:  # the arm integrates; the data show whether another rig does
         try:
-            defaults = _suggest_orders(each[0])
+            defaults = _suggest_orders(by_output)
         except InputError as err:
-            ramp = any(integration(dataset, None).integrates for dataset in each[0])
+            ramp = any(integration(dataset, None).integrates for dataset in by_output)
             defaults = Orders(na=2, nb=2, nf=2, integrator=ramp)
             doubt = f"The data do not show the orders: {err}. The models have two poles."
         orders = defaults if orders == Orders() else replace(orders, integrator=defaults.integrator)
-    for dataset in each[0]:
+    for dataset in by_output:
         order = orders.of(dataset.output)
-        size: dict[str, Any] = {
-            "samples": dataset.N - dataset.missing,
-            "nk": order.nk,
-            "nb": order.nb,
-        }
+        samples = dataset.N - dataset.missing
+        size: dict[str, Any] = {"samples": samples, "nk": order.nk, "nb": order.nb}
         require_sensible(na=order.na, **size)
         require_sensible(**size, nf=order.nf, integrator=order.integrator)
     fits = _fits(estimation, orders, of_arm=of_arm)
@@ -293,21 +285,13 @@ def study_of_fits(
     The keys are the names of the models in the report.
     """
     tests = dict[str, ResidualTest]()
-    each = [
-        [dataset.dataset(name) for name in dataset.outputs]
-        if isinstance(dataset, Signals)
-        else [dataset]
-        for dataset in (estimation, validation)
-    ]
+    each = _by_output(estimation), _by_output(validation)
     fits = [models]
     if isinstance(estimation, Signals):
         tests = {name: residuals(fit, validation) for name, fit in models.items()}
         fits = [
-            {
-                name: replace(fit[dataset.output], digest=dataset.digest)
-                for name, fit in models.items()
-            }
-            for dataset in each[0]
+            {name: replace(fit[own.output], digest=own.digest) for name, fit in models.items()}
+            for own in each[0]
         ]
     shared: dict[str, Any] = {"recordings": tuple(recordings), "halves": halves, "doubt": doubt}
     excited = [r for r in recordings if r.manifest.kind not in NO_MODEL] or recordings
@@ -323,6 +307,11 @@ def study_of_fits(
         for channel_fits, reference, ours, theirs in zip(fits, physics, *each, strict=True)
     )
     return replace(first, others=tuple(others))
+
+
+def _by_output(data: Dataset | Signals) -> list[Dataset]:
+    """Return the data of each output."""
+    return [data.dataset(name) for name in data.outputs] if isinstance(data, Signals) else [data]
 
 
 def _suggest_orders(data: Sequence[Dataset]) -> Orders:
