@@ -21,7 +21,7 @@ from msgspec import structs
 from armrig.cli.recorded_data import SignalChoice, from_arm, from_recording, has_level
 from armrig.data.files import RECORDING
 from armrig.estimation.request import Request, options_of
-from armrig.models.structure_table import STRUCTURES
+from armrig.models.structure_table import OFFERED, STRUCTURES
 
 if TYPE_CHECKING:
     from armrig.cli.identify import IdentifyOutcome
@@ -446,7 +446,7 @@ def options_after(outcome: IdentifyOutcome, findings: Sequence[Finding]) -> str:
         return options
     if must_check:
         return CHECK
-    if "search" in remedies and fit.structure != "pem" and not request.two_stage:
+    if "search" in remedies and fit.structure in OFFERED and not request.two_stage:
         # The noise of a process model has no parameters: its colour is no reason for a pole more.
         if form and not _misses_dynamics(outcome):
             return options

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import log
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -43,12 +43,9 @@ from scipy.linalg import block_diag, eigvals, schur
 from armrig.control.law_monitor import monitor_of, rows_of
 from armrig.control.law_monitor import most_blind as blind_samples
 from armrig.control.loop import LawMatrices
-from armrig.control.plant import DesignModel, design_model
+from armrig.control.plant import DesignModel, PlantModel, design_model
 from armrig.models.state_space import Matrix, Vector
 from armrig.numerics.quantities import digits, plural
-
-if TYPE_CHECKING:
-    from armrig.control.plant import PlantModel
 
 _EXACT = 1e-9
 """Largest difference of sampling times, in s, and of voltages that count as equal."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
-from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
@@ -27,14 +26,18 @@ from armrig.control.loop import (
     margins_of_draws,
     simulate,
 )
-from armrig.control.plant import DesignModel, Plant, design_model, doubts_about
+from armrig.control.plant import (
+    DesignModel,
+    Plant,
+    PlantModel,
+    Validation,
+    design_model,
+    doubts_about,
+)
 from armrig.control.requirement import requirement_of
 from armrig.models.state_space import Complex, Matrix, Vector
 from armrig.numerics.quantities import digits, plural
 from armrig.plots.layout import plot_method
-
-if TYPE_CHECKING:
-    from armrig.control.plant import PlantModel, Validation
 
 DRAWS = 500
 GAIN_SHARE = 0.2

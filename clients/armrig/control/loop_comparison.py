@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, nan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
@@ -20,16 +20,20 @@ from armrig_core.rig.volts import code_of, volts_of
 from numpy.typing import NDArray
 
 from armrig.control.loop import find_tracked_output
-from armrig.control.plant import DesignModel, Plant, design_model, doubts_about
+from armrig.control.plant import (
+    DesignModel,
+    Plant,
+    PlantModel,
+    Validation,
+    design_model,
+    doubts_about,
+)
 from armrig.control.requirement import requirement_of
 from armrig.models.state_space import Matrix, Vector
 from armrig.numerics.quantities import digits, plural
 from armrig.plots.layout import plot_method
 from armrig.recordings.files.control_run import ControlRun, control_run
 from armrig.recordings.recording import Recording
-
-if TYPE_CHECKING:
-    from armrig.control.plant import PlantModel, Validation
 
 DRAWS = 30
 RATE_SAMPLES = 5

@@ -14,7 +14,7 @@ P(z)/z: the delay of the law is counted once.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
@@ -24,13 +24,10 @@ from armrig_core.rig.description import Description
 from numpy.typing import NDArray
 
 from armrig.control.loop import LawMatrices, frequency_grid, plant_response
-from armrig.control.plant import DesignModel, design_model, require_finite
+from armrig.control.plant import DesignModel, PlantModel, Validation, design_model, require_finite
 from armrig.control.state_feedback import Goal, make_law, require_margins
 from armrig.models.state_space import Complex, Vector
 from armrig.numerics.quantities import digits
-
-if TYPE_CHECKING:
-    from armrig.control.plant import PlantModel, Validation
 
 MS = 1.6
 """Largest sensitivity by default."""

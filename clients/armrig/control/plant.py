@@ -42,9 +42,8 @@ from armrig.validation.residuals import residuals
 if TYPE_CHECKING:
     import control
 
-    PlantModel: TypeAlias = Fit | GreyFit | control.StateSpace | control.TransferFunction
-    Validation: TypeAlias = Dataset | Signals | HasDataset
-
+PlantModel: TypeAlias = "Fit | GreyFit | control.StateSpace | control.TransferFunction"
+Validation: TypeAlias = Dataset | Signals | HasDataset
 SEED = 1
 _STEPS = 1024
 """Number of steps of the converter."""

@@ -11,7 +11,7 @@ action is the estimate d: a person can read it as friction in volts.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from armrig_core.control.control_law import MAX_STATES, ControlLaw, Reference
@@ -38,12 +38,16 @@ from armrig.control.loop import (
     margins,
     plant_response,
 )
-from armrig.control.plant import DesignModel, Plant, design_model, require_finite
+from armrig.control.plant import (
+    DesignModel,
+    Plant,
+    PlantModel,
+    Validation,
+    design_model,
+    require_finite,
+)
 from armrig.models.state_space import Complex, Matrix, Vector
 from armrig.numerics.quantities import digits, plural
-
-if TYPE_CHECKING:
-    from armrig.control.plant import PlantModel, Validation
 
 _FAST = 0.02
 """Modulus below which a pole of the plant belongs to a dead time: it is not moved."""

@@ -31,6 +31,7 @@ from armrig.estimation.state_space_responses import ScaledExperiment
 from armrig.estimation.state_space_starts import starts, starts_with_moved_eigenvalue
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
+from armrig.models.structure_table import row_of
 from armrig.numerics.checks import require_flags, require_integers
 from armrig.numerics.covariance import pairwise_covariance, whitening
 from armrig.numerics.polynomial import Array
@@ -222,7 +223,7 @@ def _fill_gaps(data: Signals, order: int, nk: int | Sequence[int]) -> Signals:
         model = n4sid(data[:_FILLED_SAMPLES], order, nk=nk, replicates=0)
     except InputError:  # windows without a long gap are too few
         model = ss(data, order=order, nk=nk, noise=False)
-    predicted = model.predict(data, horizon=1 if model.structure == "n4sid" else None)
+    predicted = model.predict(data, horizon=1 if row_of(model.structure).projection else None)
     y = np.where(data.valid, data.y, predicted.reshape(data.y.shape))
     return data.replaced(step=None, y=y, valid=np.isfinite(y))
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from armrig.data.step import BIASED, Step, with_notes
 from armrig.models.estimate import Estimate
+from armrig.models.structure_table import row_of
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.confidence_regions import Band
 from armrig.numerics.quantities import NBSP, digits, join_names, near_one, places, plural, with_std
@@ -139,7 +140,7 @@ def form(model: Fit) -> str:
         (False, True): "1/D(q) e(t)",
         (True, True): "C(q)/D(q) e(t)",
     }["C" in model_letters, "D" in model_letters]
-    if model.structure in ("iv4", "channel"):
+    if row_of(model.structure).free_noise:
         noise = "v(t)"
     delayed = isinstance(model.form, TransferFunction) and model.form.delay > 0
     return f"{left} = {driven} u(t{' - delay' * delayed}) + {noise}"
@@ -173,7 +174,8 @@ def whiteness_sentence(fit: Fit, std: str = "std", robust: str = "std_robust") -
     whites = [q.white for q in fit.quality]
     coloured = [name for name, q in zip(fit.outputs, fit.quality, strict=True) if q.white.coloured]
     if fit.ny == 1:
-        subject = "IV4's prewhitened residuals" if fit.structure == "iv4" else "residuals"
+        row = row_of(fit.structure)
+        subject = f"{row.title}'s prewhitened residuals" if row.free_noise else "residuals"
         sentence = f"{subject} {whites[0]}"
     else:
         subject = f" of {join_names(coloured)}" if coloured else ""

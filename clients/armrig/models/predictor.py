@@ -31,6 +31,7 @@ from armrig.models.innovations_filter import InnovationsFilter, innovations_filt
 from armrig.models.prediction import require_same_signals, structure_of
 from armrig.models.state_space import StateSpace
 from armrig.models.structure import free_columns, transient_count
+from armrig.models.structure_table import row_of
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.checks import require_integers
 from armrig.numerics.covariance import colour_noise, whitening
@@ -194,7 +195,7 @@ def _predict(
     # samples whatever their values are.
     late = system.C @ np.linalg.matrix_power(system.A - system.K @ system.C, system.order)
     forgets = np.max(np.abs(late), axis=1, initial=0.0) < _FORGOTTEN
-    Q = orthonormal(_stack_outputs(r.free)).Q
+    Q = orthonormal(stack_outputs(r.free)).Q
     leverage = np.sum(Q**2, axis=1).reshape(part.y.shape)
     lost = (forgets & (leverage > _WHOLE_LEVERAGE)) | (part.valid & ~r.used)
     for i, at in enumerate(lost.T):
@@ -213,7 +214,7 @@ def noise_covariance(model: Fit) -> Array:
     if not (np.isfinite(Lambda).all() and Lambda.any()):
         return np.eye(len(Lambda))
     std = np.maximum(np.sqrt(np.diag(Lambda)), _MIN_STD)
-    if not (model.shared or model.form.coupled or model.structure == "arx"):
+    if not (model.shared or model.form.coupled or row_of(model.structure).equation_error):
         return np.diag(std**2)
     values, axes = np.linalg.eigh(Lambda / np.outer(std, std))
     inside = (axes * np.maximum(values, _MIN_EIGENVALUE)) @ axes.T
@@ -319,8 +320,8 @@ def _of_outputs(
     kalman = r.filter
     e = colour_noise(part.valid, kalman.whiten(r.nu[:, None]).swapaxes(1, 2), Lambda)[:, :, 0]
     slopes, _ = kalman.derivatives(by, r.x, r.u, r.nu)
-    basis = orthonormal(_stack_outputs(r.free))
-    Psi = -_stack_outputs(slopes.swapaxes(1, 2) * r.used[:, :, None])
+    basis = orthonormal(stack_outputs(r.free))
+    Psi = -stack_outputs(slopes.swapaxes(1, 2) * r.used[:, :, None])
     Psi = (Psi - basis.Q @ (basis.Q.T @ Psi)).reshape(*part.y.shape, p)
     S = basis.Q.reshape(*part.y.shape, -1)
     return PredictionErrors(
@@ -331,7 +332,7 @@ def _of_outputs(
     )
 
 
-def _stack_outputs(X: Array) -> Array:
+def stack_outputs(X: Array) -> Array:
     """Return X (N, ny, k) as a matrix (N ny, k)."""
     return X.reshape(-1, X.shape[2])
 

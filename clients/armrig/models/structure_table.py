@@ -55,6 +55,13 @@ class RegisteredStructure:
     """True if a search with several signals tries this structure."""
     continuous: bool = False
     """True if the model is in continuous time, without nk."""
+    free_noise: bool = False
+    """True if the noise may have any colour, so that the equation has v in place of e."""
+    equation_error: bool = False
+    """True if e is the error of the equation of all outputs, so that noise of an output biases the
+    estimate."""
+    projection: bool = False
+    """True if the estimator projects the data, and does not minimise the prediction errors."""
     second_stage: bool = False
     """True if the structure can be the second of two stages, which is an option of the commands."""
 
@@ -67,6 +74,11 @@ class RegisteredStructure:
     def options(self) -> tuple[str, ...]:
         """Names of the options of the commands, except the orders."""
         return (*self.takes, *["two_stage"] * self.second_stage)
+
+    @property
+    def state_space(self) -> bool:
+        """True if the model is a state space, whose coordinates are free."""
+        return "order" in self.orders
 
     @property
     def poles(self) -> str:
@@ -101,24 +113,25 @@ _ARARX = _ARX | {"nd": 1}
 _OE = {"nb": _N, "nf": _N}
 _BJ = {"nb": _N, "nc": 1, "nd": 1, "nf": _N}
 _PEM = {"na": 0, "nb": _N, "nc": 0, "nd": 0, "nf": _N}
-_STATE_SPACE = {"order": None}
+_STATES = {"order": None}
 _SEARCHED = ("integrator", "offset", "initial", "stable", "starts", "shared")
 _OF_N4SID = ("integrator", "weights", "horizon", "focus", "stable", "replicates", "seed")
+_STABLE = ("stable",)
 _row = RegisteredStructure
 _ROWS = (
-    _row("arx", "A y = B u + e", _ARX, ("stable",), closed_loop=True),
+    _row("arx", "A y = B u + e", _ARX, _STABLE, closed_loop=True, equation_error=True),
     _row("armax", "A y = B u + C e", _ARX | {"nc": _N}, _SEARCHED, closed_loop=True),
     _row("oe", "y = B/F u + e", _OE, _SEARCHED, searched_of_several=True, second_stage=True),
     _row("bj", "y = B/F u + C/D e", _BJ, _SEARCHED, closed_loop=True),
-    _row("iv4", "A y = B u + v, v of any colour", _ARX, ("stable",), several=False),
-    _row("n4sid", "a state space", _STATE_SPACE, _OF_N4SID, searched_of_several=True),
+    _row("iv4", "A y = B u + v, v of any colour", _ARX, _STABLE, several=False, free_noise=True),
+    _row("n4sid", "a state space", _STATES, _OF_N4SID, searched_of_several=True, projection=True),
     # IV4 and BJ cover this noise; ARARX would lengthen a search by a quarter.
     _row("ararx", "A y = B u + 1/D e", _ARARX, _SEARCHED, closed_loop=True, searched=False),
     # The searches of one channel were tested without ss.
     _row(
         "ss",
         "a state space of least prediction errors",
-        _STATE_SPACE,
+        _STATES,
         ("noise", "output_weights"),
         closed_loop=True,
         searched=False,
@@ -148,13 +161,19 @@ _ROWS = (
 )
 STRUCTURES: dict[str, RegisteredStructure] = {row.name: row for row in _ROWS}
 """Specifications of all structures by name."""
-CHANNEL = _row("channel", "y = B/F u + v", {"nb": None, "nf": None})
+CHANNEL = _row("channel", "y = B/F u + v", {"nb": None, "nf": None}, free_noise=True)
 """Specification of one channel of a model with several inputs or outputs. The noise of a channel
 depends on several e, so the channel has no C and no D."""
+_UNKNOWN = _row("channel", "", {})
 DESCRIBED: dict[str, RegisteredStructure] = STRUCTURES | {CHANNEL.name: CHANNEL}
 """Specifications of all structures that a `Fit` may have, by name."""
 OFFERED: dict[OfferedName, RegisteredStructure] = {name: STRUCTURES[name] for name in OFFERED_NAMES}
 """Specifications of the structures that the commands offer, by name."""
+
+
+def row_of(structure: str) -> RegisteredStructure:
+    """Return the specification of a structure, or one without orders if the name is not known."""
+    return DESCRIBED.get(structure) or _UNKNOWN
 
 
 def users(argument: str) -> list[OfferedName]:

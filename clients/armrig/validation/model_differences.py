@@ -9,6 +9,7 @@ import numpy as np
 from armrig_core.telemetry.channels import ARM_OUTPUTS
 
 from armrig.models.characteristics import DRAWS, SCALARS, ModelCharacteristics
+from armrig.models.structure_table import row_of
 from armrig.numerics.quantities import digits, minus, number, places, with_range, with_std
 from armrig.physics.systems import CAUSES
 
@@ -134,7 +135,7 @@ def _hopeless(row: Comparison, reference: Comparison, *, brief: bool) -> str:
     text += f"{reference.name}: its characteristics differ because the model is poor"
     if brief:
         return f"{text}."
-    if row.channel.structure == "arx":
+    if row_of(row.channel.structure).equation_error:
         return f"{text}. ARX assumes noise through 1/A; noise at the output biases it: take OE."
     return f"{text}. Look at its orders and its delay."
 

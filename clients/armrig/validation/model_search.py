@@ -30,7 +30,7 @@ from armrig.estimation.orders import Integrator, integrating_outputs
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
-from armrig.models.structure_table import OFFERED, OfferedName
+from armrig.models.structure_table import OFFERED, OfferedName, row_of
 from armrig.numerics.checks import (
     MAX_ORDER,
     require_flags,
@@ -406,7 +406,7 @@ def _stage(candidate: Candidate, highest: int) -> int:
     """Return the stage of a search: 0 decides on a pole at 1, 1 has the usual orders, then one."""
     if candidate.order > highest:
         return candidate.order
-    return int(not (candidate.named_by_pole and candidate.request.structure == "n4sid"))
+    return int(not (candidate.named_by_pole and row_of(candidate.request.structure).projection))
 
 
 def _keep_needed(candidates: list[Candidate], ranking: _Ranking) -> list[Candidate]:

@@ -7,16 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armrig.models.predictor import PredictionErrors
+from armrig.models.predictor import PredictionErrors, stack_outputs
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
 _COLUMNS = 8  # columns that are projected at once, so that only a part of a matrix is copied
-
-
-def _stack_outputs(X: Array) -> Array:
-    """Return X (N, ny, k) as a matrix (N ny, k)."""
-    return X.reshape(-1, X.shape[2])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,7 +101,7 @@ def projection(parts: Sequence[PredictionErrors], *, with_parameters: bool) -> P
     if not with_parameters:
         return Projection(parts=parts, T=[part.S[:, :, :0] for part in parts])
     G = parts[0].Psi.shape[1] > 1
-    W = orthonormal(np.vstack([_stack_outputs(p.G @ p.Psi if G else p.Psi) for p in parts])).W
+    W = orthonormal(np.vstack([stack_outputs(p.G @ p.Psi if G else p.Psi) for p in parts])).W
     return Projection(parts=parts, T=[part.Psi @ W for part in parts])
 
 

@@ -16,6 +16,7 @@ from armrig.models.fit import Fit
 from armrig.models.polynomials import Polynomials
 from armrig.models.prediction import findings_on_own_data, require_same_signals
 from armrig.models.predictor import PredictionErrors, parameters_of, prediction_errors
+from armrig.models.structure_table import row_of
 from armrig.numerics.covariance import Autoregression, joint_exogenous_score
 from armrig.numerics.polynomial import Array
 from armrig.numerics.rounding import rounding_std, without_rounding
@@ -132,7 +133,7 @@ def residuals(
     ny, nu = fit.ny, fit.nu
     several = (ny, nu) != (1, 1)
     # For a subspace estimate, which does not minimise the errors, P is not known.
-    fitted = on_own_data and not (several and fit.structure == "n4sid")
+    fitted = on_own_data and not (several and row_of(fit.structure).projection)
     of_theta = None if fitted else theta_covariance
     e = np.vstack([p.e for p in parts])
     # Tests of rounding errors would depend on the processor.

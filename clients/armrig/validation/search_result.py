@@ -13,6 +13,7 @@ from armrig.data.dataset import Vector
 from armrig.data.finding import Finding
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
+from armrig.models.structure_table import row_of
 from armrig.numerics.quantities import digits, plural
 from armrig.validation.residual_test import ResidualTest, results
 
@@ -64,7 +65,7 @@ def free_parameters(fit: Fit) -> int:
     """Return the number of free parameters; the choice of the state coordinates does not count."""
     if (fit.ny, fit.nu) == (1, 1):
         return fit.parameters
-    if fit.structure not in ("ss", "n4sid"):
+    if not row_of(fit.structure).state_space:
         return int(fit.theta.size)
     A, B, C, D, _ = fit.state_space()
     n, nu, ny = A.shape[0], B.shape[1], C.shape[0]
