@@ -73,7 +73,7 @@ class Cause(IntEnum):
     ADC_RAIL = 7
     """A potentiometer at a rail for `rail_ticks` samples."""
     REV_LIMIT = 8
-    """`turns`/100 net turns of theta_1 or more since START."""
+    """`turns`/100 net turns of channel 0 or more since START."""
     UNDERRUN = 9
     """Reserved: an empty queue of setpoints is no fault."""
     VCC_LOW = 10
@@ -141,9 +141,9 @@ class Flag(IntFlag):
     SLEW = 0x0020
     """In FAULT, caused by a change of the input that is too large."""
     ADC0_RAIL = 0x0040
-    """Theta_1 at a rail: dead band or broken wire."""
+    """Channel 0 at a rail: dead band or broken wire."""
     ADC1_RAIL = 0x0080
-    """Alpha at a rail."""
+    """Channel 1 at a rail."""
     TICK_LATE = 0x0100
     """This sample was taken late."""
     ESTOP = 0x0200
@@ -216,7 +216,7 @@ class Config(NamedTuple):
     rail_ticks: int
     """Samples in a row at a rail that cause FAULT(ADC_RAIL) in RUN, in samples; 0 sets no limit."""
     turns: int
-    """Net turns of theta_1 since START that cause FAULT(REV_LIMIT), in turns/100; 0 sets no limit."""
+    """Net turns of channel 0 since START that cause FAULT(REV_LIMIT), in turns/100; 0 sets no limit."""
 
 
 class Arm(NamedTuple):
@@ -334,7 +334,7 @@ class Cal(NamedTuple):
     seq: int
     """Number of the frame, counted by its sender."""
     channel: int
-    """0 theta_1, 1 alpha."""
+    """Number of the channel, 0 or 1."""
     zero: int
     """0."""
     n: int
@@ -369,9 +369,9 @@ class HelloReply(NamedTuple):
     capabilities: int
     """Functions of the device (`Capability`)."""
     skew_us: int
-    """Time from one conversion to the next, and therefore from the conversion of alpha to the conversion of theta_1, in µs; rounded up."""
+    """Time from one conversion to the next, and therefore from the conversion of channel 1 to the conversion of channel 0, in µs; rounded up."""
     hold_us: int
-    """Time from the trigger (t_us) to the hold of theta_1 and the latch of u, in µs."""
+    """Time from the trigger (t_us) to the hold of channel 0 and the latch of u, in µs."""
     adc_bits: int
     """Resolution of the converter; readings are left-justified to 16 bits."""
     pwm_bits: int
@@ -508,11 +508,11 @@ class Sample(NamedTuple):
     k: int
     """Sample index: k of the EXCHANGE, or in scheduled mode counted from 0 at START."""
     t_us: int
-    """Device clock when the conversion of theta_1 is triggered, in µs; wraps after 71.6 min."""
+    """Device clock when the conversion of channel 0 is triggered, in µs; wraps after 71.6 min."""
     y0: int
-    """Theta_1, left-justified to 16 bits, in counts."""
+    """Channel 0, left-justified to 16 bits, in counts."""
     y1: int
-    """Alpha, left-justified to 16 bits, in counts."""
+    """Channel 1, left-justified to 16 bits, in counts."""
     u_k: int
     """Code of the duty that the motor has from sample k on, in code."""
     u_km1: int

@@ -39,7 +39,7 @@ enum {
     RIG_CAUSE_RANGE = 0x5, // a code outside [u_min, u_max]
     RIG_CAUSE_SLEW = 0x6, // a change of the code of more than `slew`
     RIG_CAUSE_ADC_RAIL = 0x7, // a potentiometer at a rail for `rail_ticks` samples
-    RIG_CAUSE_REV_LIMIT = 0x8, // `turns`/100 net turns of theta_1 or more since START
+    RIG_CAUSE_REV_LIMIT = 0x8, // `turns`/100 net turns of channel 0 or more since START
     RIG_CAUSE_UNDERRUN = 0x9, // reserved: an empty queue of setpoints is no fault
     RIG_CAUSE_VCC_LOW = 0xA, // supply too low
     RIG_CAUSE_INTERNAL = 0xB, // an internal check of the firmware failed
@@ -79,8 +79,8 @@ enum {
     RIG_FLAG_WATCHDOG = 0x8, // in FAULT, caused by the watchdog
     RIG_FLAG_RANGE = 0x10, // in FAULT, caused by a code out of range
     RIG_FLAG_SLEW = 0x20, // in FAULT, caused by a change of the input that is too large
-    RIG_FLAG_ADC0_RAIL = 0x40, // theta_1 at a rail: dead band or broken wire
-    RIG_FLAG_ADC1_RAIL = 0x80, // alpha at a rail
+    RIG_FLAG_ADC0_RAIL = 0x40, // channel 0 at a rail: dead band or broken wire
+    RIG_FLAG_ADC1_RAIL = 0x80, // channel 1 at a rail
     RIG_FLAG_TICK_LATE = 0x100, // this sample was taken late
     RIG_FLAG_ESTOP = 0x200, // in ESTOP
     RIG_FLAG_CRC_ERR = 0x400, // a spoilt frame was received since the last sample
@@ -128,7 +128,7 @@ typedef struct __attribute__((packed)) {
     uint8_t hold; // longest time for which the policy HOLD keeps the last code, in ticks
     uint8_t oversampling; // conversions averaged in one reading of each channel, at least 1
     uint16_t rail_ticks; // samples in a row at a rail that cause FAULT(ADC_RAIL) in RUN, in samples; 0 sets no limit
-    uint16_t turns; // net turns of theta_1 since START that cause FAULT(REV_LIMIT), in turns/100; 0 sets no limit
+    uint16_t turns; // net turns of channel 0 since START that cause FAULT(REV_LIMIT), in turns/100; 0 sets no limit
     uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it
 } rig_config_t;
 _Static_assert(sizeof(rig_config_t) == 30, "CONFIG");
@@ -252,7 +252,7 @@ typedef struct __attribute__((packed)) {
     uint8_t type;
     uint8_t state; // state of the device; 0 from a host (`State`)
     uint16_t seq; // number of the frame, counted by its sender
-    uint8_t channel; // 0 theta_1, 1 alpha
+    uint8_t channel; // number of the channel, 0 or 1
     uint8_t zero; // 0
     uint16_t n; // readings, 1 to 1024
     uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it
@@ -276,8 +276,8 @@ typedef struct __attribute__((packed)) {
     uint16_t full_scale_mv; // voltage of code 65535, in mV
     uint16_t queue; // capacity of the queue, in setpoints
     uint16_t capabilities; // functions of the device (`Capability`)
-    uint16_t skew_us; // time from one conversion to the next, and therefore from the conversion of alpha to the conversion of theta_1, in µs; rounded up
-    uint16_t hold_us; // time from the trigger (t_us) to the hold of theta_1 and the latch of u, in µs
+    uint16_t skew_us; // time from one conversion to the next, and therefore from the conversion of channel 1 to the conversion of channel 0, in µs; rounded up
+    uint16_t hold_us; // time from the trigger (t_us) to the hold of channel 0 and the latch of u, in µs
     uint8_t adc_bits; // resolution of the converter; readings are left-justified to 16 bits
     uint8_t pwm_bits; // resolution of the duty; 16 if the duty is not quantised
     uint8_t cause; // cause of the last change of state (`Cause`)
@@ -378,9 +378,9 @@ typedef struct __attribute__((packed)) {
     uint16_t echo; // seq of the newest host frame taken in
     uint16_t u_seq; // seq of the frame that contained u_k; 0 if no frame contained u_k
     uint32_t k; // sample index: k of the EXCHANGE, or in scheduled mode counted from 0 at START
-    uint32_t t_us; // device clock when the conversion of theta_1 is triggered, in µs; wraps after 71.6 min
-    uint16_t y0; // theta_1, left-justified to 16 bits, in counts
-    uint16_t y1; // alpha, left-justified to 16 bits, in counts
+    uint32_t t_us; // device clock when the conversion of channel 0 is triggered, in µs; wraps after 71.6 min
+    uint16_t y0; // channel 0, left-justified to 16 bits, in counts
+    uint16_t y1; // channel 1, left-justified to 16 bits, in counts
     uint16_t u_k; // code of the duty that the motor has from sample k on, in code
     uint16_t u_km1; // code in force just before the latch, in code; if the previous SAMPLE is lost, it shows the u_k of the lost SAMPLE
     uint16_t flags; // conditions of the sample (`Flag`)

@@ -51,12 +51,12 @@ def trigger(host: LineHost, m: int) -> tuple[int, int]:
     return interval_us(before, t_us), interval_us(before, rx_us[last.host_ns])
 
 
-@rule(5, "EXCHANGE triggers alpha; theta_1 is triggered `skew_us` later, at t_us")
+@rule(5, "EXCHANGE triggers channel 1; channel 0 is triggered `skew_us` later, at t_us")
 def _time(host: LineHost) -> None:
     for _ in range(10):
         at, end = trigger(host, 1)
         in_time = -ROUNDED_US <= at <= end + ROUNDED_US
-        expect(in_time, f"alpha {at} us after a PING, the next PING at {end} us")
+        expect(in_time, f"channel 1 {at} us after a PING, the next PING at {end} us")
 
 
 @rule(5, "A k not newer than the last k is answered ACK(STALE); after a HELLO, any k is new")

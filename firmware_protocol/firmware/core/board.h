@@ -14,8 +14,8 @@
 //   BOARD_QUEUE              capacity in setpoints; a power of two, 64 ... RIG_QUEUE_CAPACITY
 //   BOARD_ADC_BITS           resolution of the converter
 //   BOARD_PWM_BITS           resolution of the duty, 8 ... 15; with 16 the duty is the code itself
-//   BOARD_SKEW_US            time from alpha's trigger to theta_1's trigger
-//   BOARD_HOLD_US            time from theta_1's trigger to its hold, at which u is latched
+//   BOARD_SKEW_US            time from the trigger of channel 1 to the trigger of channel 0
+//   BOARD_HOLD_US            time from the trigger of channel 0 to its hold, at which u is latched
 //   BOARD_TS_MIN_US          shortest Ts with oversampling 1
 //   BOARD_CAPABILITIES       flags RIG_CAPABILITY_...
 //   BOARD_RAM                bytes of RAM that `struct rig` may occupy
@@ -37,8 +37,8 @@ void board_motor_set(uint16_t duty);
 uint32_t board_now_us(void);
 
 // ------------------------------------------------------------- functions of a board: converter
-// A sample consists of 2 m conversions: alpha, theta_1, alpha, theta_1 ... Each conversion is
-// triggered BOARD_SKEW_US after the previous conversion. The oversampling m is the value of
+// A sample consists of 2 m conversions: channel 1, channel 0, channel 1, channel 0 ... Each
+// conversion is triggered BOARD_SKEW_US after the previous conversion. The oversampling m is the value of
 // `rig_oversampling` when the first conversion is triggered. The board takes samples in the order
 // in which they were requested or fell due. A sample that must wait begins when the previous sample
 // has ended.
@@ -47,7 +47,7 @@ uint32_t board_now_us(void);
 // samples wait or are in progress at a time. Called from main, with interrupts on.
 void board_convert_now(void);
 
-// Starts the timer, which takes samples k = 0, 1, ... The last conversion of sample k, of theta_1,
+// Starts the timer, which takes samples k = 0, 1, ... The last conversion of sample k, of channel 0,
 // is triggered at t0_us + k ts_us, without drift. If `k_stop` is not 0, sample k_stop is not taken.
 // Instead, the board calls `rig_end` at t0_us + k_stop ts_us + BOARD_HOLD_US and stops the timer.
 // Called from main, with interrupts on, one Ts before t0_us.
@@ -61,7 +61,7 @@ void board_timer_stop(void);
 // supply. Called from main.
 bool board_converter_is_free(void);
 
-// Starts `n` conversions of one channel (0 theta_1, 1 alpha), BOARD_SKEW_US apart. The core calls
+// Starts `n` conversions of one channel (0 or 1), BOARD_SKEW_US apart. The core calls
 // the function only while the converter is free and the timer is stopped. Called from main.
 void board_convert_channel(uint8_t channel, uint16_t n);
 
@@ -124,11 +124,11 @@ enum {
 // either context.
 uint8_t rig_oversampling(void);
 
-// Reports the result of a conversion, of a sample or of board_convert_channel. Channel 0 is
-// theta_1, 1 is alpha. The code is left-justified to 16 bits. Call it from an interrupt.
+// Reports the result of a conversion, of a sample or of board_convert_channel. The code
+// is left-justified to 16 bits. Call it from an interrupt.
 void rig_reading(uint8_t channel, uint16_t code);
 
-// Latches u of a sample. Call it from an interrupt when theta_1 is held for its last conversion. A
+// Latches u of a sample. Call it from an interrupt when channel 0 is held for its last conversion. A
 // board may call it earlier if it applies the duty of board_motor_set only at the hold.
 void rig_latch(uint8_t what);
 

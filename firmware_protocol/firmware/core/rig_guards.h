@@ -7,9 +7,9 @@
 
 // State of the guards since START. Owner: main.
 struct rig_guards {
-    uint16_t rails[2]; // successive samples at a rail, of theta_1 and of alpha
-    int32_t turned; // net rotation of theta_1, in codes
-    uint16_t y0; // previous reading of theta_1
+    uint16_t rails[2]; // successive samples at a rail, by channel
+    int32_t turned; // net rotation of channel 0, in codes
+    uint16_t y0; // previous reading of channel 0
     bool has_y0;
 };
 

@@ -37,7 +37,7 @@ struct rig_mean {
 // A complete sample that was not sent yet.
 struct rig_taken {
     uint32_t k, t_us;
-    struct rig_mean y[2]; // theta_1, alpha
+    struct rig_mean y[2]; // by channel
     uint16_t duty, duty_before; // at the end of the conversions; before the latch
     uint16_t u_seq;
     uint16_t flags;
@@ -100,7 +100,7 @@ struct rig {
     struct rig_taken taken[RIG_MOST_TAKEN];
     uint8_t taken_first;
     volatile uint8_t taken_count;
-    struct rig_readings readings[2]; // theta_1, alpha; owner: interrupt
+    struct rig_readings readings[2]; // by channel; owner: interrupt
     struct rig_cal cal;
     uint8_t taken_lost; // samples lost for lack of room since main last cleared the count
     uint32_t timed_k; // k of the timer's next sample; owner: interrupt while the timer runs

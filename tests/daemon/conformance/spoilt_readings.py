@@ -13,7 +13,7 @@ from tests.daemon.conformance.spoiling import Patch, SpoiltDevices
 SPOILT = SpoiltDevices()
 SPOILT.answer(
     "t_us is not the trigger",
-    "EXCHANGE triggers alpha",
+    "EXCHANGE triggers channel 1",
     Sample,
     lambda m: {"t_us": (m.t_us + 400) & 0xFFFFFFFF},
 )

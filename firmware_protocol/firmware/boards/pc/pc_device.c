@@ -282,7 +282,7 @@ static void end_conversions(void)
         trigger(later(end_ns, d->pending[0].due_ns), 2U * rig_oversampling());
 }
 
-// Holds the next input. After the last hold of theta_1, latches u. After the last conversion, ends
+// Holds the next input. After the last hold of channel 0, latches u. After the last conversion, ends
 // the sample.
 static void step_converter(int64_t t_ns)
 {

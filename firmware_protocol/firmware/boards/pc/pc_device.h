@@ -10,7 +10,7 @@
 // What the device is connected to: its pins, and an observer. All times are virtual times, not
 // times of the device's clock.
 struct pc_world {
-    uint16_t (*read)(int64_t t_ns, uint8_t channel); // 0 theta_1, 1 alpha
+    uint16_t (*read)(int64_t t_ns, uint8_t channel); // 0 or 1
     void (*drive)(int64_t t_ns, uint16_t duty, uint16_t code);
     void (*release)(int64_t t_ns); // the motor is at 0 V
     uint16_t (*supply)(int64_t t_ns);

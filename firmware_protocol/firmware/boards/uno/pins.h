@@ -18,7 +18,7 @@
 
 enum { OPEN_CHANNEL = 5 }; // A5
 
-// With one analogue pin, alpha is a second reading of this pin. Bit 4 is not part of the
+// With one analogue pin, channel 1 is a second reading of this pin. Bit 4 is not part of the
 // multiplexer's number; it tells the two readings apart.
 #ifdef ONE_ANALOGUE_PIN
 enum { ALPHA_CHANNEL = THETA_1_CHANNEL | 0x10 };
