@@ -27,7 +27,7 @@ import pyarrow
 from armrig import Signals, load_signals
 from armrig.data.files.imported_file import write_imported
 from armrig.data.files.importing import import_files
-from armrig.data.files.loading import Reading
+from armrig.data.files.placement import Reading
 from armrig.data.step import DOUBT, codes_of
 from armrig_core.errors import InputError
 from numpy.random import Generator

@@ -53,7 +53,7 @@ def test_the_descriptions_of_rigs_are_in_the_wheel(wheel: dict[str, bytes]) -> N
 @pytest.mark.usefixtures("wheel")
 def test_an_installed_armrig_finds_its_glossary_and_its_firmware(unpacked: Path) -> None:
     program = (
-        "from armrig.cli.administration import _page; "
+        "from armrig.cli.glossary import _page; "
         "from armrig_core.rig.firmware_image import image_path; print(_page(), image_path())"
     )
     found = subprocess.run(

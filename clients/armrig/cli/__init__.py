@@ -38,9 +38,16 @@ _HEADINGS = {
     "Identify": {"identify": "sampling hints identify batch"},
     "Validate": {"validate": "validate compare check linearity report"},
     "Design": {"design": "design"},
-    "Physics": {"physics": "model simulate greybox split integrate"},
+    "Physics": {
+        "physics": "model simulate",
+        "grey_box": "greybox split",
+        "integration": "integrate",
+    },
     "Administration": {
-        "administration": "rigs doctor glossary flash conformance service pki router",
+        "administration": "rigs doctor flash conformance",
+        "glossary": "glossary",
+        "service": "service",
+        "pki": "pki router",
     },
 }
 """Commands under each heading of `armrig --help`, by module."""

@@ -93,7 +93,7 @@ def import_(
     the times of the output.
     """
     from armrig.data.files.importing import import_files
-    from armrig.data.files.loading import Reading
+    from armrig.data.files.placement import Reading
     from armrig.recordings.files.recording_names import recording_folder
 
     inputs, outputs = (

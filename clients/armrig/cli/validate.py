@@ -16,7 +16,7 @@ from armrig_core.process.printable import printable
 
 import armrig
 from armrig import plots
-from armrig.cli import physics, recorded_data, results
+from armrig.cli import integration, physics, recorded_data, results
 from armrig.cli.next_step import (
     REASONS,
     after_validate,
@@ -449,8 +449,10 @@ def report(
         None, "File with names, registration numbers and reasons (--handout).", metavar="TOML"
     ),
     settings: Annotated[list[str] | None, extend(physics.OF_CHANGES, " (--handout)")] = None,
-    amplitude: Annotated[float, extend(physics.OF_AMPLITUDE, " (--handout)")] = physics.AMPLITUDE_V,
-    omega: Annotated[float, extend(physics.OF_OMEGA, " (--handout)")] = physics.OMEGA,
+    amplitude: Annotated[
+        float, extend(integration.OF_AMPLITUDE, " (--handout)")
+    ] = integration.AMPLITUDE_V,
+    omega: Annotated[float, extend(integration.OF_OMEGA, " (--handout)")] = integration.OMEGA,
     source: Path | None = preset(
         None, "New folder for the Typst source and its figures.", metavar="FOLDER"
     ),

@@ -12,8 +12,8 @@ import typer
 from armrig import Signals
 from armrig.cli import main
 from armrig.cli.identify import _for_outputs, _SearchRange
+from armrig.cli.integration import _check_step
 from armrig.cli.model_structures import build_request
-from armrig.cli.physics import _check_step
 from armrig.cli.recorded_data import SignalChoice
 from armrig.estimation.request import DEFAULTS, Request
 from armrig.models.structure_table import COUNTED

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig.cli.administration import _matching_term, read_terms
+from armrig.cli.glossary import _matching_term, read_terms
 from armrig_core.errors import InputError
 
 PAGE = (Path(__file__).parents[3] / "docs" / "glossary.md").read_text(encoding="utf-8")

@@ -10,7 +10,8 @@ from armrig.data.columns import Vector
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.data.treatment import hampel
-from armrig.data.treatment.wrong_samples import _gross, quantum, too_quiet
+from armrig.data.treatment.outliers import quantum, too_quiet
+from armrig.data.treatment.wrong_samples import _gross
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import apply_filter
 from numpy.typing import NDArray

@@ -14,7 +14,8 @@ from armrig.data.columns import MAX_SIZE, Vector
 from armrig.data.files.clocks import on_one_clock
 from armrig.data.files.imported_file import GridTable, Import, ImportedData, ImportedSource
 from armrig.data.files.kinds import table_of
-from armrig.data.files.loading import MOST_BYTES, Reading, naming_file, place, time_column
+from armrig.data.files.loading import MOST_BYTES, naming_file
+from armrig.data.files.placement import Reading, place, time_column
 from armrig.data.files.table import Column, NoColumnError, Table, choose, remedy
 from armrig.data.step import codes_of
 

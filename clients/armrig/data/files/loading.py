@@ -1,55 +1,44 @@
-"""Loading of data from a file: choice of the columns, and their place on the grid of instants."""
+"""Loading of data from a file: choice of the columns."""
 
 from __future__ import annotations
 
 import errno
 import hashlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from shlex import quote
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
 from armrig_core.process.calls import with_argument_checks
-from numpy.typing import NDArray
 
-from armrig.data.columns import require_size
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.clocks import on_one_clock
-from armrig.data.files.column_faults import repetition_notes, stuck_notes, treat_faults
 from armrig.data.files.imported_file import GridTable
 from armrig.data.files.kinds import table_of
-from armrig.data.files.sampling_grid import Grid, grid_of, unit_grid
-from armrig.data.files.stamps import time_columns, times_of
+from armrig.data.files.placement import Reading, place, values_of
+from armrig.data.files.stamps import time_columns
 from armrig.data.files.table import (
     Column,
     NoColumnError,
     ReadingError,
     Table,
-    Vector,
     choose,
     remedy,
     shorten,
 )
-from armrig.data.step import DOUBT, OTHER_INPUTS, Step
+from armrig.data.step import OTHER_INPUTS, Step
 from armrig.numerics.quantities import plural
-from armrig.numerics.stretches import Mask, stretches
-
-Array = NDArray[np.float64]
 
 MOST_BYTES = 1 << 27
 """Largest size of a file, in B; a text of a million rows of eight numbers each is smaller."""
 SOURCE = "data"
 """Prefix of the hash in `source` if the file is not a recording."""
-_MIN_KNOWN_INPUTS = 0.5  # share of the rows
-_MAX_HELD = 3  # rows that a file leaves out in which u is held, if it is the same on both sides
 _MAX_JUMPS, _MIN_JUMP = 1 / 3, 0.1  # of an input: share of the rows, and of the column's range
-_MIN_TS = 1e-12  # in s
 
 
 @with_argument_checks
@@ -204,19 +193,6 @@ def load_signals(
         )
 
 
-class Reading(NamedTuple):
-    """Options of reading a file; the fields are arguments of `load_data`."""
-
-    time: str | None
-    Ts: float | None
-    decimal: str | None
-    resample: bool
-    hold_input: bool
-    mask_rails: bool
-    unwrap: float | None
-    topic: str | None
-
-
 @contextmanager
 def naming_file(path: Path) -> Iterator[None]:
     """Begin the message of an error with the path of the file."""
@@ -276,51 +252,6 @@ def _samples(
         "history": history,
     }
     return named_u, named_y, fields
-
-
-def place(
-    table: Table,
-    columns: Mapping[int, Vector],
-    of_u: Sequence[int],
-    of_y: Sequence[int],
-    names: Mapping[int, str],
-    how: Reading,
-    notes: Sequence[str] = (),
-    *,
-    are_signals: bool = False,
-) -> tuple[Grid, dict[int, Vector], Mask, list[str]]:
-    """Return a grid, the columns at its instants, the instants without a row, and the history.
-
-    The columns are named by their index. The inputs `of_u` and the outputs `of_y` are
-    treated as the options say. If `are_signals` is True, the history also names values that stay.
-    """
-    sizes = {x.size for x in columns.values()}
-    if len(sizes) > 1:
-        rule = "all need the same number" if are_signals else "save columns of one length"
-        text = f"the columns have {min(sizes)} to {plural(max(sizes), 'sample')}"
-        raise FileError(f"{text}; {rule}")
-    columns, grid = dict(columns), _grid_of_rows(table, {*of_u, *of_y}, sizes.pop(), how)
-    history = [*table.notes, *grid.notes, *notes]
-    for i in of_u if are_signals else ():
-        history += repetition_notes(columns[i], names[i])
-    for i in of_y:
-        if are_signals:
-            u = np.column_stack([columns[j] for j in of_u])
-            history += repetition_notes(columns[i], names[i]) or stuck_notes(
-                columns[i], names[i], u
-            )
-        columns[i], steps = treat_faults(
-            columns[i], names[i], mask_rails=how.mask_rails, unwrap=how.unwrap
-        )
-        history += steps
-    placed = {i: grid.place(x, held=i in of_u) for i, x in columns.items()}
-    put_in = np.ones(grid.size, np.bool_)
-    put_in[grid.at if grid.times is None else slice(None)] = False
-    if of_u:
-        u = np.column_stack([placed[i] for i in of_u])
-        history += _hold_inputs(u, put_in, [names[i] for i in of_u], how)
-        placed |= dict(zip(of_u, u.T, strict=True))
-    return grid, placed, put_in, history
 
 
 def _switching(table: Table, taken: Collection[int]) -> list[str]:
@@ -395,97 +326,3 @@ def _names(columns: Sequence[Column], letter: str, others: Sequence[Column]) -> 
         for column, last in zip(columns, lasts, strict=False)
     ]
     return [name or f"{letter}{k}" for k, name in enumerate(names, 1)]
-
-
-def _hold_inputs(u: Array, put_in: Mask, names: Sequence[str], how: Reading) -> list[str]:
-    """Hold missing inputs, everywhere or in short gaps of the file; return history steps."""
-    unknown = np.isnan(u) & ~put_in[:, np.newaxis]
-    for x, missing, name in zip(u.T, unknown.T, names, strict=True):
-        rows = x.size - np.count_nonzero(put_in)
-        filled = int(rows - np.count_nonzero(missing))
-        # Without most of the rows the data would be distorted.
-        if not how.hold_input and filled < _MIN_KNOWN_INPUTS * rows:
-            raise ReadingError(
-                f"{shorten(name)} has a value in {filled} of {rows} rows; if it is written only "
-                "where it changes, give --hold-input",
-                "--hold-input",
-            )
-        for gap in stretches(np.isnan(x)):
-            if gap.start and (how.hold_input or _is_short(x, gap, put_in)):
-                x[gap] = x[gap.start - 1]
-    count = int(np.count_nonzero(unknown.any(axis=1)))
-    if not (how.hold_input and count):
-        return []
-    return [f"held the input in {plural(count, 'row')} without a value of it"]
-
-
-def _is_short(x: Vector, gap: slice, put_in: Mask) -> bool:
-    """Return whether the file leaves out these few rows, with one value of x on both sides."""
-    same = gap.stop < x.size and x[gap.start - 1] == x[gap.stop]
-    return bool(same and put_in[gap].all() and gap.stop - gap.start <= _MAX_HELD)
-
-
-def _grid_of_rows(table: Table, taken: Collection[int], N: int, how: Reading) -> Grid:
-    """Return the grid of the rows, from a column of times, the Ts of the file, or the given Ts."""
-    Ts = how.Ts
-    if Ts is not None and not _MIN_TS <= Ts <= 1 / _MIN_TS:
-        allowed = f"and from {_MIN_TS:g} to {1 / _MIN_TS:g}" if 0 < Ts < np.inf else "and > 0"
-        raise FileError(f"Ts={Ts} must be finite {allowed}, in s")
-    if isinstance(table, GridTable):
-        return _grid_of_import(table, how)
-    if how.time is None and Ts is None and table.Ts is not None:
-        return unit_grid(N, table.Ts)
-    at = time_column(table, taken, how)
-    if at is not None:
-        try:
-            times = times_of(table, at)
-            if times.t.size != N:
-                raise FileError(f"{times.name} are {times.t.size}, for {plural(N, 'sample')}")
-            return grid_of(times, Ts=Ts, resample=how.resample)
-        except FileError as err:
-            if Ts is None or how.resample:
-                raise
-            text = f"used the given Ts = {Ts:g} s, because the times cannot be used: {err}"
-            return replace(unit_grid(N, Ts), notes=[Step(text, DOUBT)])
-    if Ts is not None and not how.resample:
-        return unit_grid(N, Ts)
-    msg = "the sampling time is not known: give it in s (--Ts)"
-    if len(table.columns) > len(taken):
-        msg += f", or the column of times: {remedy(table, 'time')}"
-    raise ReadingError(msg, "--time NAME")
-
-
-def time_column(table: Table, taken: Collection[int], how: Reading) -> int | None:
-    """Return the index of the column of times; None without a single such column."""
-    if how.time is not None:
-        return choose(table, how.time, "time")
-    at = [i for i in time_columns(table) if i not in taken]
-    return at[0] if len(at) == 1 else None
-
-
-def _grid_of_import(table: GridTable, how: Reading) -> Grid:
-    """Return the grid of imported rows; refuse options that only an import takes."""
-    flags = [name for name in ("time", "Ts", "resample", "topic") if getattr(how, name)]
-    if flags:
-        raise FileError(
-            f"--{flags[0]}: imported data have their times, {table.grid.Ts:g} s apart; import the "
-            "original file again with this option"
-        )
-    return table.grid
-
-
-def values_of(table: Table, i: int, role: str) -> Vector:
-    """Return the values of a column, NaN where missing; refuse infinities and empty columns."""
-    values = table.numbers(i)
-    infinite = np.isinf(values)
-    if infinite.any():
-        k = int(np.argmax(infinite))
-        raise FileError(
-            f"{table.place(k)}: the {role} is {values[k]} here, and infinite in "
-            f"{plural(infinite.sum(), 'sample')} in all; leave an unknown value empty, or write NaN"
-        )
-    if np.isnan(values).all():
-        msg = f"the {role}, column {i + 1}, has no value in any of {values.size} rows; "
-        raise FileError(msg + remedy(table, role))
-    require_size(role, values[~np.isnan(values)])
-    return values

@@ -14,4 +14,4 @@ from armrig.data.treatment.integrating import IntegratingOutputWarning as Integr
 from armrig.data.treatment.integrating import difference as difference
 from armrig.data.treatment.integrating import integrates_by_name as integrates_by_name
 from armrig.data.treatment.integrating import integrating as integrating
-from armrig.data.treatment.wrong_samples import hampel as hampel
+from armrig.data.treatment.outliers import hampel as hampel

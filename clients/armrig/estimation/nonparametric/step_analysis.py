@@ -17,7 +17,7 @@ from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, OfDataset, labels
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import Integration, integration
-from armrig.data.treatment.wrong_samples import quantum
+from armrig.data.treatment.outliers import quantum
 from armrig.estimation.data_faults import require_moving_output
 from armrig.estimation.nonparametric.step_answer import NormalisedResponse, step_answer
 from armrig.estimation.nonparametric.step_process import ProcessAnswer, step_process

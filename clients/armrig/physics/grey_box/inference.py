@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
-from armrig.data.treatment.wrong_samples import quantum, too_quiet
+from armrig.data.treatment.outliers import quantum, too_quiet
 from armrig.models.state_space import read_only_copy
 from armrig.numerics.curvature import curvature, doubts
 from armrig.numerics.inference import Inference, OutputResiduals, infer

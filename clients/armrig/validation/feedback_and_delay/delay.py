@@ -15,7 +15,7 @@ from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector, labels
 from armrig.data.step import laws_of, laws_text
 from armrig.data.treatment.integrating import integration
-from armrig.data.treatment.wrong_samples import quantum
+from armrig.data.treatment.outliers import quantum
 from armrig.estimation.data_faults import require_moving_output
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, impulse_response
 from armrig.numerics.least_squares import column_norms, triangle

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
-from armrig.data.treatment.wrong_samples import quantum
+from armrig.data.treatment.outliers import quantum
 from armrig.estimation.nonparametric.sampling_time import sampling_time
 from armrig.estimation.nonparametric.step_analysis import (
     _alone,
