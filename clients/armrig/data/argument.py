@@ -20,6 +20,8 @@ from armrig.numerics.quantities import digits
 P = ParamSpec("P")
 R = TypeVar("R")
 
+_ANY_DATA = "Dataset | Signals | Recording"
+"""Type of data of any shape in signatures."""
 _MIN_SIZE = 1e-30  # powers of much smaller numbers underflow to 0
 _MAX_SHOWN_CHARACTERS = 20
 """Largest number of characters of an argument's value that a message quotes."""
@@ -79,21 +81,25 @@ def takes_recordings(
 
     If orders are given by position, as in MATLAB, the error message shows the call with names.
     """
-    return _taking(f, as_dataset)
+    return _taking(f, as_dataset, "Dataset | Recording")
 
 
 def takes_data(
     f: Callable[Concatenate[Dataset | Signals, P], R],
 ) -> Callable[Concatenate[Dataset | HasDataset | Signals, P], R]:
     """Decorate a function of data of any shape, so that it also accepts a recording."""
-    return _taking(f, lambda data: data if isinstance(data, Signals) else as_dataset(data))
+
+    def converted(data: Any) -> Any:
+        return data if isinstance(data, Signals) else as_dataset(data)
+
+    return _taking(f, converted, _ANY_DATA)
 
 
 def takes_signals(
     f: Callable[Concatenate[Signals, P], R],
 ) -> Callable[Concatenate[Signals | Dataset | HasDataset, P], R]:
     """Decorate a function of Signals so that it also accepts a Dataset or a recording."""
-    return _taking(f, as_signals)
+    return _taking(f, as_signals, _ANY_DATA)
 
 
 def treats_signals(f: Callable[Concatenate[Signals, P], Signals]) -> Treatment[P]:
@@ -106,13 +112,17 @@ def treats_signals(f: Callable[Concatenate[Signals, P], Signals]) -> Treatment[P
         argument = args[0] if args else options["data"]
         return signals if isinstance(argument, Signals) else signals.dataset()
 
+    shown = signature(treated).replace(return_annotation="Dataset | Signals")
+    treating.__signature__ = shown  # type: ignore[attr-defined]
     return cast("Treatment[P]", treating)
 
 
-def _taking(f: Callable[..., R], converted: Callable[[Any], Any]) -> Callable[..., R]:
+def _taking(
+    f: Callable[..., R], converted: Callable[[Any], Any], data_type: str
+) -> Callable[..., R]:
     """Return f with checks of its arguments, and with one thread of linear algebra.
 
-    The first argument is converted.
+    The first argument is converted. Its type in the signature is `data_type`.
     """
     called = signature(f)
     parameters = list(called.parameters.values())
@@ -134,6 +144,8 @@ def _taking(f: Callable[..., R], converted: Callable[[Any], Any]) -> Callable[..
         with _one_thread():
             return f(*(converted(a) for a in args[:1]), *args[1:], **options)
 
+    parameters = [parameters[0].replace(annotation=data_type), *parameters[1:]]
+    taking.__signature__ = called.replace(parameters=parameters)  # type: ignore[attr-defined]
     return taking
 
 

@@ -75,7 +75,7 @@ def select_orders(
     nb: Iterable[int] = range(1, 11),
     nk: Iterable[int] | Mapping[tuple[str, str], int] = range(6),
     validation: Dataset | Signals | None = None,
-) -> Any:
+) -> OrderTable | OrderTables:
     """Return the losses of all ARX structures with these orders.
 
     One QR decomposition of y and the regressors of the largest structure reduces the data to a

@@ -248,7 +248,7 @@ def _arx_lags(data: Dataset) -> list[int]:
     """Return the nk of the best ARX model, then the nk of the best ARX model of each order."""
     latest = min(_MAX_LAG, max(data.N // 10, 1))
     try:
-        table = select_orders(data, _ARX_ORDERS, _ARX_ORDERS, range(1, latest + 1))
+        table: Any = select_orders(data, _ARX_ORDERS, _ARX_ORDERS, range(1, latest + 1))
     except ValueError:
         return []
     bits, delays = np.nan_to_num(table.mdl, nan=np.inf), []
