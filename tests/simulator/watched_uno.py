@@ -134,8 +134,8 @@ class WatchedUno(Uno):
 
     # -- its reports -----------------------------------------------------------------------------
 
-    def _take_frame(self, t_ns: int) -> None:
-        super()._take_frame(t_ns)
+    def _note_sent_frame(self, t_ns: int) -> None:
+        super()._note_sent_frame(t_ns)
         for message in feed(b"", self._frames[-1][1])[1]:
             self._judge(t_ns, message)
 

@@ -526,12 +526,12 @@ def plan_runs(
 def _from_file(
     experiment: str, file: Path, seconds: float | None, run: _ExperimentOptions
 ) -> Played:
-    from armrig.excitation.from_file import is_named
+    from armrig.excitation.from_file import has_named_columns
 
     if seconds is not None:
         raise InputError(f"--seconds {seconds:g}: a file has its own length; leave out --seconds")
     file.stat()  # a missing file is refused here
-    named = is_named(file)
+    named = has_named_columns(file)
     arguments: Any = {"input": _input_of(run)} if named else {}
     if run.Ts is not None:
         armrig.input_from_file(file, run.Ts, **arguments)

@@ -91,7 +91,9 @@ class ControlFeed:
         now_s, law = time.monotonic(), self._law
         if self._counts.decisions and (not is_going or now_s - self._told_s > _TEXT_S):
             self._told_s = now_s
-            self._text = self._counts.of_law if law else f"input {self._counts.at_limit} of samples"
+            self._text = (
+                self._counts.limits_text if law else f"input {self._counts.at_limit} of samples"
+            )
         facts: dict[str, Any] = {"first_s": self._first_ns / 1e9, "shares": self._text}
         if law is None:
             return facts

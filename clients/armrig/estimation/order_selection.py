@@ -11,7 +11,7 @@ import numpy as np
 
 from armrig.data.argument import as_dataset, as_signals, takes_data
 from armrig.data.dataset import Dataset, Signals
-from armrig.estimation.order_table import OrderTable, order_table, orders_to_try, require_same_rate
+from armrig.estimation.order_table import OrderTable, order_table, order_values, require_same_rate
 from armrig.estimation.orders import Integers, by_channel
 from armrig.numerics.criteria import Criterion
 from armrig.numerics.polynomial import Array
@@ -138,7 +138,7 @@ def select_orders(
     given_delays = None
     if isinstance(nk, Mapping):
         given_delays, nk = by_channel("nk", nk, data, least=0), [0]
-    nas, nbs, nks = orders_to_try(na=na, nb=nb, nk=nk)
+    nas, nbs, nks = order_values(na=na, nb=nb, nk=nk)
     tables = {}
     for i, output in enumerate(signals.outputs):
         delays = np.zeros(signals.nu, dtype=np.int_) if given_delays is None else given_delays[i]

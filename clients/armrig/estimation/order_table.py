@@ -306,7 +306,7 @@ def order_table(
     )
 
 
-def orders_to_try(**orders: Iterable[int]) -> list[Integers]:
+def order_values(**orders: Iterable[int]) -> list[Integers]:
     """Return the values of na, nb and nk to try, each in rising order."""
     wanted = [np.unique(several(name, values)) for name, values in orders.items()]
     for name, values, lowest in zip(orders, wanted, (0, 1, 0), strict=True):

@@ -81,7 +81,7 @@ def _text(path: str | Path) -> str:
         raise InputError(f"{path}: {err}, as a CSV") from err
 
 
-def is_named(path: Path) -> bool:
+def has_named_columns(path: Path) -> bool:
     """Return whether a column of an input file has another name than t and u."""
     table = read_table(_text(path), ways_out=_WAYS_OUT)
     names = {column.name.strip("\"'").lower() for column in table.columns}

@@ -27,7 +27,7 @@ class DecisionCounts(NamedTuple):
         return f"at its limit in {self._percent(self.limited)}"
 
     @property
-    def of_law(self) -> str:
+    def limits_text(self) -> str:
         """Shares of decisions at a limit, and with predicted samples, as text."""
         text = f"input {self.at_limit} of samples"
         if self.slewed:

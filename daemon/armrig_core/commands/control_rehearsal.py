@@ -233,7 +233,7 @@ def _reading(output: Output, value: float, adc_bits: int) -> float:
     reading = min(max(step, 0), steps - 1) * (COUNTS // steps)
     if RAIL_COUNTS <= reading < COUNTS - RAIL_COUNTS:
         return conversion.value(reading)
-    return conversion.at_rail(reading)
+    return conversion.value_at_rail(reading)
 
 
 def _instability(law: Program, model: RigModel, Ts: float) -> str:

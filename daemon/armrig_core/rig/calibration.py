@@ -50,7 +50,7 @@ class Potentiometer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         """Return the angle of a reading in counts, in rad."""
         return (counts - self.zero_counts) * self.rad_per_count
 
-    def at_rail(self, _: float) -> float:
+    def value_at_rail(self, _: float) -> float:
         """Return NaN: at an end of its range a potentiometer shows no angle."""
         return nan
 

@@ -75,7 +75,7 @@ class Conversion(msgspec.Struct, frozen=True, array_like=True, gc=False):
     valid_rail: Rail = ""
     """End of the range at which a reading is a value, and no broken wire."""
 
-    def at_rail(self, counts: float) -> float:
+    def value_at_rail(self, counts: float) -> float:
         """Return the value of a reading at an end of the range; NaN unless this end is valid."""
         end = "low" if counts < HALF_COUNTS else "high"
         return self.value(counts) if end == self.valid_rail else nan

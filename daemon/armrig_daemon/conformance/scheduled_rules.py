@@ -225,7 +225,7 @@ def _time(host: LineHost) -> None:
 
 
 @rule(6, "With k_stop, the last input is held for one Ts; then EVENT(RUN to IDLE, END) follows")
-def _end(host: LineHost) -> None:
+def _check_end(host: LineHost) -> None:
     arm_scheduled(host)
     fill(host, [1_000] * 10)
     took = run_to_end(host, 5)

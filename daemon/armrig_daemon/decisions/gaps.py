@@ -126,8 +126,8 @@ def publish(
     if arrived.answered is None and state.run is not None:
         state = _note_missing(state, state.run, m.k, now_ns)
     sample = arrived.sample
-    acting, flags = state.rules.acting, m.flags
-    state, done = report_missing(state, sample.k, now_ns, acting(m.u_km1, flags))
+    acting_code, flags = state.rules.acting_code, m.flags
+    state, done = report_missing(state, sample.k, now_ns, acting_code(m.u_km1, flags))
     done.append(Publish(sample, m.queued if arrived.answered is None else -1))
     state = replace(
         state,
@@ -135,7 +135,7 @@ def publish(
         run=arrived.run,
         sampled_ns=sample.t_host_ns,
         t_us=sample.t_device_us,
-        applied=acting(m.u_k, flags),
+        applied=acting_code(m.u_k, flags),
         last_reported_k=sample.k,
     )
     return state, done

@@ -155,7 +155,7 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
         """Return where the input is while nothing drives the rig, as text for a person."""
         return "rest" if self.rest_code else "0 V"
 
-    def acting(self, code: int, flags: int) -> int:
+    def acting_code(self, code: int, flags: int) -> int:
         """Return the code that acts on the rig, by the code and the flags of a sample.
 
         Outside RUN the device reports 0, its driver is off, and the rig rests.

@@ -152,7 +152,7 @@ class Uno:
                     case Left(cycle, byte):
                         self._frame.append(byte)
                         if not byte:
-                            self._take_frame(self.ns(cycle))
+                            self._note_sent_frame(self.ns(cycle))
                     case Duty():
                         self._apply(record)
                     case Violated():
@@ -161,7 +161,7 @@ class Uno:
         frames, self._frames = self._frames, []
         return frames
 
-    def _take_frame(self, t_ns: int) -> None:
+    def _note_sent_frame(self, t_ns: int) -> None:
         wire = bytes(self._frame)
         self._frame.clear()
         self._frames.append((t_ns, wire))

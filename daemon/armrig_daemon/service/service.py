@@ -309,7 +309,7 @@ class Service:
                     self._runs.add(batch)
                     batch = []
                     ended = Ending(record.outcome_code, record.outcome)
-                    load = self._standstill() or self._rig.load
+                    load = self._note_sleep() or self._rig.load
                     self._runs.end(pressure.with_load(ended, self._rig.state, load))
                 case Answer():
                     self._commands.answer(record)
@@ -385,7 +385,7 @@ class Service:
         ]
         self._runs.add(self._publish_all(logs))
 
-    def _standstill(self) -> str:
+    def _note_sleep(self) -> str:
         """Report a sleep of this computer; return the sentence on a sleep in the current run."""
         if slept := self._sleep.look():
             self._slept = slept
@@ -457,7 +457,7 @@ class Service:
 
     def _each_second(self) -> None:
         self._loop.order(Alive())
-        self._standstill()
+        self._note_sleep()
         self._handle_wake()  # a disk that does not answer wakes nobody
         self._commands.refuse_overdue(time.monotonic())
         self._planner.look()

@@ -122,7 +122,9 @@ def play(
                 counts = (counts + start) % _TURN_COUNTS
             step = min(max(floor(min(max(counts, -64.0), 65536.0) / 64 + 0.5), 0), 1023)
             convert = bounds[i].conversion
-            values[i] = convert.value(step * 64) if 0 < step < 1023 else convert.at_rail(step * 64)
+            values[i] = (
+                convert.value(step * 64) if 0 < step < 1023 else convert.value_at_rail(step * 64)
+            )
         if fault.kind in ("stuck", "railed") and k >= fault.k:
             if fault.kind == "stuck" and held != held:
                 held, fault = values[fault.output], fault._replace(k=k)

@@ -19,7 +19,7 @@ from armrig.excitation import (
     telegraph,
     white_noise,
 )
-from armrig.excitation.from_file import is_named
+from armrig.excitation.from_file import has_named_columns
 from armrig.excitation.named_signals import (
     NAMES,
     check_step_time,
@@ -410,7 +410,7 @@ def test_a_column_with_the_inputs_name_has_its_own_value(tmp_path: Path) -> None
     (tmp_path / "own.csv").write_text("t [s],power [%]\n0,0\n0.01,60\n")
 
     assert input_from_file(tmp_path / "own.csv", 0.01, input=power).tolist() == [0.0, 3.0]
-    assert is_named(tmp_path / "own.csv")
+    assert has_named_columns(tmp_path / "own.csv")
     with pytest.raises(ValueError, match=r"columns t, power; name them t and u"):
         input_from_file(tmp_path / "own.csv", 0.01)
     (tmp_path / "own.csv").write_text("t,power [V]\n0,0\n0.01,6\n")

@@ -1021,9 +1021,9 @@ def test_a_sleep_of_the_computer_is_reported_and_is_the_cause_of_a_late_stop(
     between.begin_run()
     between.service._sleep.look = iter(["this computer slept for 30 s", "", ""]).__next__
     between.pass_a_second()
-    causes = [between.service._standstill()]
+    causes = [between.service._note_sleep()]
     between.service._begin_run(RunStarted(run_id="next", k_first=0, count=3, t_host_ns=0))
-    causes.append(between.service._standstill())
+    causes.append(between.service._note_sleep())
 
     assert causes == ["this computer slept for 30 s", ""]
     assert "warning: this computer slept for 30 s" in capsys.readouterr().err

@@ -298,7 +298,7 @@ def _advice(problem: Sinusoid, method: str, tolerance: float) -> RecommendedStep
         verified=verified,
         steps=steps,
         work=steps * METHODS[method].work,
-        reason=_reason(method, h, limit, error, tolerance)
+        reason=_limit_reason(method, h, limit, error, tolerance)
         + ("" if verified else " The error follows from the order; it was not verified."),
     )
 
@@ -330,7 +330,7 @@ def _step_for(
     return best, best_error, True
 
 
-def _reason(method: str, h: float, limit: float, error: float, tolerance: float) -> str:
+def _limit_reason(method: str, h: float, limit: float, error: float, tolerance: float) -> str:
     order = METHODS[method].order
     halved = f"the method has order {order}, so half the step has "
     halved += f"a {'half' if order == 1 else 'quarter'} of the error"

@@ -70,7 +70,7 @@ class ControlRun:
     @property
     def shares(self) -> str:
         """Return the shares of decisions at a limit, and with predicted samples, as text."""
-        return self.counts.of_law
+        return self.counts.limits_text
 
     @property
     def summary(self) -> str:

@@ -201,7 +201,7 @@ def run_content(
     """Return the content of a run's files from `start` to `stop`; raises the errors of `load`."""
     between, part = EVERYTHING, None
     if start is not None or stop is not None:
-        between, part = _part(paths[0], start or 0.0, inf if stop is None else stop)
+        between, part = _range_to_read(paths[0], start or 0.0, inf if stop is None else stop)
     files = [_read(path, part, digest=digest) for path in paths]
     content, manifest, ended, attached = files[0]
     if len(files) > 1:
@@ -292,7 +292,7 @@ def beginning(path: Path) -> tuple[Path, Content]:
     return first, _read(first, _BEGINNING, digest=False)[0]
 
 
-def _part(path: Path, start: float, stop: float) -> tuple[tuple[int, int], FileRange]:
+def _range_to_read(path: Path, start: float, stop: float) -> tuple[tuple[int, int], FileRange]:
     """Convert a time range to a range of sample indices and the part of the file to read."""
     if not 0 <= start < stop:
         raise FileError(f"start={start:g} s and stop={stop:g} s: 0 <= start < stop is needed")
