@@ -60,7 +60,7 @@ NOT_CALLED = {
 """Public names that are not called, and why."""
 
 PROJECTION = ("order", "horizon", "suggested_order", "singular_values", "canonical_correlations")
-"""Members of a `Fit` that only n4sid fills."""
+"""Members of a `Fit` and of its projection that only n4sid fills."""
 NO_MEMBERS = {
     "Fit.quantities": "stand in the calls of tf and process",
     "Fit.to_continuous": "test_continuous_time compares it with tf",
@@ -101,7 +101,8 @@ NO_MEMBERS = {
     "Fit.shared": "given",
     "Fit.output_weights": "given",
     "Fit.state_space": "n4sid has it",
-    **{f"Fit.{name}": "n4sid has it" for name in PROJECTION},
+    "Fit.order": "n4sid has it",
+    **{f"*.projection.{name}": "n4sid has it" for name in PROJECTION},
     "*Fit.offset": "given",
     "*.estimated_from": "of other data",
     "*.summary": "summary calls it: it takes long",
@@ -749,7 +750,7 @@ def n4sid() -> Variants:
     for name, fit in fits.items():
         yield name, fit
         for member in PROJECTION:
-            yield f"{name}.{member}", getattr(fit, member)
+            yield f"{name}.{member}", getattr(fit if member == "order" else fit.projection, member)
 
 
 @variants

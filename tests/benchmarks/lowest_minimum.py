@@ -50,7 +50,7 @@ def main() -> None:
             excess = fit.loss / least - 1
             if excess > TOLERANCE:
                 missed.append(f"{seed} ({words}, {excess:.1e})")
-                unsaid += fit.agreed and fit.converged
+                unsaid += fit.search.agreed and fit.search.converged
                 if given.verbose:
                     print(f"  {missed[-1]}, {n}", flush=True)
         print(

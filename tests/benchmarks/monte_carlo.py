@@ -115,7 +115,7 @@ def _runs(system: System, N: int, runs: int) -> tuple[NDArray[np.float64], ...]:
         std.append(fit.std)
         robust.append(fit.std_robust)
         p.append([tests.white.p_value, tests.missing_dynamics, tests.feedback])
-        failed += not fit.converged
+        failed += not fit.search.converged
     return np.array(error), np.array(std), np.array(robust), np.array(p), np.array(failed)
 
 

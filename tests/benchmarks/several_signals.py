@@ -212,7 +212,7 @@ def study(case: str, seed: int, runs: int, N: int, missing: float) -> None:
     for run in range(runs):
         try:
             fit = plant.fit(plant.signals(N, missing, (seed, N, run)))
-            if fit.converged:
+            if fit.search.converged:
                 found.append(quantities(plant, fit))
         except (ValueError, np.linalg.LinAlgError) as err:
             print(f"{case}, run {run}: {err}", flush=True)

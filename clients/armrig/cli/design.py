@@ -77,7 +77,7 @@ class DesignOptions:
     )
 
     def requirement(self) -> dict[str, float]:
-        """Return the requirement on a step, for the file of the law."""
+        """Return the requirement on the step response, as the file of the law contains it."""
         from armrig.control.requirement import Requirement
 
         bounds = {"overshoot": self.overshoot, "settling": self.settling}

@@ -672,7 +672,7 @@ def from_recording(data: Dataset | Signals) -> bool:
 
 
 def from_arm(data: Dataset | Signals) -> bool:
-    """Return True if data come from a recording of the arm, whose integrating output is known."""
+    """Return True if data come from a recording of the arm: it is known which output integrates."""
     return from_recording(data) and ARM_OUTPUTS.issuperset(data.signals().outputs)
 
 

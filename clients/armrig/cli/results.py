@@ -208,11 +208,12 @@ def check_output(
         example = path / f"name{suffix or '.png'}"
         raise InputError(f"{name}: is a directory; give a file, such as {example}")
     if path.exists() and any(f.exists() and path.samefile(f) for f in inputs):
-        raise InputError(f"{name}: is an input file, which would be lost; give another name")
+        raise InputError(f"{name}: is an input file, which would be overwritten; give another name")
     if path.is_file():
         with path.open("rb") as file:
             if file.read(len(_MCAP)) == _MCAP:
-                raise InputError(f"{name}: is a recording, which would be lost; give another name")
+                text = "is a recording, which would be overwritten; give another name"
+                raise InputError(f"{name}: {text}")
     if suffix and path.suffix.lower() != suffix:
         raise InputError(f"{name}: {what}; give a name that ends in {suffix}")
     if not path.absolute().parent.is_dir():

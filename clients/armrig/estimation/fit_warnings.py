@@ -57,7 +57,7 @@ def parameter_warnings(W: Array, C: Array) -> Iterator[Finding]:
 
 def with_doubts(fit: Fit) -> Fit:
     """Return the fit with warnings of a loop, and of standard deviations not to be trusted."""
-    notes = [warning(name, text, curvature=fit.curvature) for name, text in fit.doubts]
+    notes = [warning(name, text, curvature=fit.search.curvature) for name, text in fit.doubts]
     return replace(fit, findings=(*loop_warnings(fit), *fit.findings, *notes))
 
 

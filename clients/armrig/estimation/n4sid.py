@@ -42,7 +42,7 @@ from armrig.estimation.subspace_estimate import (
     weights_of,
 )
 from armrig.estimation.subspace_horizon import least_horizon, require_windows
-from armrig.models.estimate import Form
+from armrig.models.estimate import Form, Minimisation, PastProjection
 from armrig.models.fit import Fit
 from armrig.models.polynomials import Polynomials
 from armrig.models.structure_table import Focus, Weights
@@ -295,12 +295,14 @@ def _fit(
         specification=specification,
         form=form,
         offset=single_channel and options.integrator,
-        weights=options.weights,
-        horizon=model.horizon,
-        singular_values=singular_values,
-        canonical_correlations=estimate.canonical_correlations,
-        suggested_order=estimate.suggested_order,
-        converged=estimate.settled,
+        search=Minimisation(converged=estimate.settled),
+        projection=PastProjection(
+            weights=options.weights,
+            horizon=model.horizon,
+            singular_values=singular_values,
+            canonical_correlations=estimate.canonical_correlations,
+            suggested_order=estimate.suggested_order,
+        ),
         findings=tuple(notes),
         **inferred.fields(),
         **facts,

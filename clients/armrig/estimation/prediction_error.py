@@ -47,7 +47,7 @@ from armrig.estimation.search import (
     with_noise_weights,
 )
 from armrig.estimation.stability import instability, with_stability_warning, with_stable_poles
-from armrig.models.estimate import Start
+from armrig.models.estimate import Minimisation, Start
 from armrig.models.fit import Fit
 from armrig.models.innovations import Errors, prepare
 from armrig.models.structure import FreeResponse, Structure, offset_from_ramp
@@ -170,12 +170,12 @@ def estimated(
     fields: dict[str, Any] = {
         "structure": name,
         "score": "exogenous" if white else "correlated",
-        "converged": all(group_estimate.ends[0][1].converged for group_estimate in group_estimates),
     }
+    converged = all(group_estimate.ends[0][1].converged for group_estimate in group_estimates)
     if isinstance(data, Dataset):
-        return with_stability_warning(
-            fit_of_one(data, group_estimates[0], estimates[0], W, **fields)
-        )
+        group, estimate = group_estimates[0], estimates[0]
+        fit = fit_of_one(data, group, estimate, W, converged=converged, **fields)
+        return with_stability_warning(fit)
     fields |= {"specification": text, "offset": offset, "shared": bool(shared)}
     notes, starts_ = (
         [note for group_estimate in group_estimates for note in group_estimate.findings],
@@ -188,7 +188,8 @@ def estimated(
         )
         starts_ += group_estimate.starts(f"{names}: ")
         notes += [] if best.converged else [not_converged(best.iterations, f" of {names}")]
-    fit = fit_of_outputs(data, estimates, W, starts=tuple(starts_), **fields)
+    search = Minimisation(converged=converged, starts=tuple(starts_))
+    fit = fit_of_outputs(data, estimates, W, search=search, **fields)
     fit = with_curvature(fit, group_estimates, estimates, W)
     return replace(fit, findings=(*notes, *instability(fit.form), *fit.findings))
 
@@ -318,6 +319,8 @@ def fit_of_one(
     estimate: EstimatedOutput,
     W: Array,
     in_s: ContinuousProblem | None = None,
+    *,
+    converged: bool = True,
     **fields: Any,
 ) -> Fit:
     """Return the model of one input and one output; `in_s` is the problem of a search in s."""
@@ -335,8 +338,9 @@ def fit_of_one(
         W,
         rounding=floor,
         offset=bool(n.trend),
-        starts=starts if len(starts) > 1 else (),
-        agreed=agreed,
+        search=Minimisation(
+            converged=converged, starts=starts if len(starts) > 1 else (), agreed=agreed
+        ),
         free=tuple(free),
         **fields,
     )
@@ -387,7 +391,7 @@ def with_curvature(
             followers=followers,
         )
         worst = max(worst, curved)
-    return with_doubts(replace(fit, curvature=worst))
+    return with_doubts(replace(fit, search=replace(fit.search, curvature=worst)))
 
 
 def with_integrator(n: Structure) -> Array:

@@ -29,7 +29,7 @@ from armrig.estimation.state_space_problem import (
 )
 from armrig.estimation.state_space_responses import ScaledExperiment
 from armrig.estimation.state_space_starts import starts, starts_with_moved_eigenvalue
-from armrig.models.estimate import Start
+from armrig.models.estimate import Minimisation, Start
 from armrig.models.fit import Fit
 from armrig.models.structure_table import row_of
 from armrig.numerics.checks import require_flags, require_integers
@@ -200,15 +200,17 @@ def ss(
         specification=as_text(order=n, nk=delays) + ("" if noise else ", noise=False"),
         form=form,
         output_weights=weights,
-        converged=best.converged,
-        starts=tuple(
-            Start(
-                name=e.name,
-                loss=float(np.exp(e.criterion / ny)) * unit,
-                iterations=e.iterations,
-                converged=e.converged,
-            )
-            for e in ends
+        search=Minimisation(
+            converged=best.converged,
+            starts=tuple(
+                Start(
+                    name=e.name,
+                    loss=float(np.exp(e.criterion / ny)) * unit,
+                    iterations=e.iterations,
+                    converged=e.converged,
+                )
+                for e in ends
+            ),
         ),
         findings=(*notes, *instability(form)),
         **inferred.fields(),

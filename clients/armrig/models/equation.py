@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from armrig.data.step import BIASED, Step, with_notes
-from armrig.models.estimate import Estimate
+from armrig.models.estimate import Estimate, PastProjection
 from armrig.models.structure_table import row_of
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.confidence_regions import Band
@@ -47,10 +47,10 @@ def description(fit: Fit) -> str:
 
 def _starts_lines(fit: Fit, squared_unit: str = "") -> Iterator[str]:
     """Yield a line with the losses of a search from several starts."""
-    if fit.starts:
-        how = "agree" if fit.agreed else "DISAGREE, the best one was used"
-        ends = ", ".join(f"{s.name} {s.loss:.6g}" for s in fit.starts)
-        unfinished = "" if fit.converged else " (NOT CONVERGED)"
+    if fit.search.starts:
+        how = "agree" if fit.search.agreed else "DISAGREE, the best one was used"
+        ends = ", ".join(f"{s.name} {s.loss:.6g}" for s in fit.search.starts)
+        unfinished = "" if fit.search.converged else " (NOT CONVERGED)"
         yield f"  starts {how}: {ends}{squared_unit}{unfinished}"
 
 
@@ -73,7 +73,7 @@ def outputs_and_poles(fit: Fit) -> Iterator[str]:
     poles = fit.poles()
     parts = zip(poles.values, np.asarray(poles.std), strict=True)
     yield "  poles: " + ", ".join(_pole(z, std) for z, std in parts if z.imag >= 0)
-    if fit.starts and not fit.converged:
+    if fit.search.starts and not fit.search.converged:
         yield "  NOT CONVERGED"
 
 
@@ -399,7 +399,7 @@ def estimation_lines(fit: Fit) -> list[str]:
         f"  {whiteness_sentence(fit, 'σ', 'σ robust')}",
     ]
     lines += _starts_lines(fit, squared)
-    if fit.canonical_correlations.size:
+    if fit.projection is not None:
         lines += [f"  {line}" for line in fit.explain().splitlines()]
     return lines
 
@@ -458,7 +458,7 @@ def estimation_facts(fit: Fit) -> dict[str, Any]:
 
     The values of several signals are a list with an item for each output or channel.
     """
-    shared = {"converged": fit.converged, "warnings": list(fit.warnings)}
+    shared = {"converged": fit.search.converged, "warnings": list(fit.warnings)}
     if (fit.ny, fit.nu) != (1, 1):
         return _facts_of_each(fit) | shared
     facts = {
@@ -473,8 +473,8 @@ def estimation_facts(fit: Fit) -> dict[str, Any]:
     }
     if fit.Ts == 0:
         facts["quantities"] = dict(fit.quantities())
-    if fit.canonical_correlations.size:
-        facts |= _fields(fit, "canonical_correlations suggested_order")
+    if fit.projection is not None:
+        facts |= _fields(fit.projection, "canonical_correlations suggested_order")
     return facts
 
 
@@ -526,5 +526,5 @@ def _unit_squared(unit: str) -> str:
     return f" ({unit})²" if "/" in unit else f" {unit}²" if unit else ""
 
 
-def _fields(fit: Fit, names: str) -> dict[str, Any]:
+def _fields(fit: Fit | PastProjection, names: str) -> dict[str, Any]:
     return {name: getattr(fit, name) for name in names.split()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
@@ -37,6 +38,44 @@ class Start:
     """Number of steps of the search."""
     converged: bool
     """True if the change of the loss and the scaled gradient are within the tolerance."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Minimisation:
+    """Search for the minimum of the loss."""
+
+    converged: bool = True
+    """True if the search converged within its tolerance."""
+    starts: tuple[Start, ...] = ()
+    """Start values with their results, best first; empty if no search was necessary."""
+    agreed: bool = True
+    """True if all starts led to the same minimum."""
+    curvature: float = 0.0
+    """Deviation of the loss from the parabola that `std` assumes: the standard deviation of the
+    logarithm of the likelihood divided by that of the normal distribution. It is 0 for a linear
+    regression and in older files."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PastProjection:
+    """Projection of the future outputs on the past, by which N4SID determines the poles."""
+
+    weights: str = ""
+    """Weights of the projection: "cva", "moesp" or "n4sid"."""
+    horizon: int = 0
+    """Number of past samples in the projection; the number of future samples is equal."""
+    singular_values: Vector = field(default_factory=lambda: np.zeros(0))
+    """Singular values of the weighted projection, largest first, (horizon,)."""
+    canonical_correlations: Vector = field(default_factory=lambda: np.zeros(0))
+    """Canonical correlations of future and past, 0 to 1, at the longest horizon tried. They do not
+    depend on `weights`: they are the singular values for the weights "cva"."""
+    suggested_order: int = 0
+    """Order with the least MDL, at most 10. MDL is computed from the one-step errors of the
+    estimated states."""
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        freeze(self, ("singular_values", "canonical_correlations"))
 
 
 Form = Polynomials | Matrices | TransferFunction
@@ -107,32 +146,12 @@ class Estimate:
     degrees of freedom."""
     quality: tuple[OutputQuality, ...] = ()
     """Loss, fit and whiteness of each output; empty if the model was not estimated."""
-    converged: bool = True
-    """True if the search for the minimum converged within its tolerance."""
-    starts: tuple[Start, ...] = ()
-    """Start values with their results, best first; empty if no search was necessary."""
-    agreed: bool = True
-    """True if all starts led to the same minimum."""
-    curvature: float = 0.0
-    """Deviation of the loss from the parabola that `std` assumes: the standard deviation of the
-    logarithm of the likelihood divided by that of the normal distribution. It is 0 for a linear
-    regression and in older files."""
+    search: Minimisation = Minimisation()
+    """Search for the minimum: whether it converged, its starts, and the curvature of the loss."""
     free: tuple[FreeResponse, ...] = ()
     """Initial state and input offset of each experiment, estimated with theta."""
-    weights: str = ""
-    """Weights of the projection of N4SID: "cva", "moesp" or "n4sid"."""
-    horizon: int = 0
-    """Number of past samples in the projection that determines the poles; the number of future
-    samples is equal. 0 without a projection."""
-    singular_values: Vector = field(default_factory=lambda: np.zeros(0))
-    """Singular values of the weighted projection of the future on the past, largest first,
-    (horizon,)."""
-    canonical_correlations: Vector = field(default_factory=lambda: np.zeros(0))
-    """Canonical correlations of future and past, 0 to 1, at the longest horizon tried. They do not
-    depend on `weights`: they are the singular values for the weights "cva"."""
-    suggested_order: int = 0
-    """Order with the least MDL, at most 10. MDL is computed from the one-step errors of the
-    estimated states. 0 without a projection."""
+    projection: PastProjection | None = None
+    """Projection of N4SID, with its horizon and canonical correlations; None for other models."""
     findings: tuple[Finding, ...] = ()
     """Findings about the reliability of the numbers, with codes for programs."""
     source: str = ""
@@ -151,7 +170,15 @@ class Estimate:
             for name in ("covariance", "covariance_robust"):
                 object.__setattr__(self, name, J @ getattr(self, name) @ J.T)
         freeze(self, ("covariance", "covariance_robust", "noise_covariance"))
-        freeze(self, ("singular_values", "canonical_correlations"))
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a value by the name that it had in an earlier release, and warn."""
+        for part, kind in (("search", Minimisation), ("projection", PastProjection)):
+            if name in kind.__dataclass_fields__:
+                text = f"fit.{name} is fit.{part}.{name} now; the earlier name ends with armrig 0.4"
+                warnings.warn(text, DeprecationWarning, stacklevel=2)
+                return getattr(getattr(self, part) or kind(), name)
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name)
 
     @property
     def ny(self) -> int:
@@ -193,7 +220,7 @@ class Estimate:
         """Reasons to distrust the standard deviations of the coefficients, each with a name."""
         N = min((quality.N for quality in self.quality), default=0)
         both, coloured = (self.covariance, self.covariance_robust), self.trusts_robust
-        return doubts(self.curvature, *both, N=N, coloured=coloured, outputs=self.ny)
+        return doubts(self.search.curvature, *both, N=N, coloured=coloured, outputs=self.ny)
 
     @property
     def trusted_covariance(self) -> Matrix:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from armrig.data.columns import index_of
 from armrig.models.continuous_time import Quantities, continuous, discrete, quantities
-from armrig.models.estimate import Estimate
+from armrig.models.estimate import Estimate, Minimisation
 from armrig.models.polynomials import Polynomials
 from armrig.models.responses import (
     FrequencyResponse,
@@ -153,7 +153,7 @@ class Fit(Estimate):
             covariance_robust=J @ self.covariance_robust @ J.T,
             noise_covariance=self.noise_covariance[i : i + 1, i : i + 1],
             quality=self.quality[i : i + 1],
-            converged=self.converged,
+            search=Minimisation(converged=self.search.converged),
             findings=self.findings,
             source=self.source,
             history=self.history,
@@ -568,15 +568,15 @@ class Fit(Estimate):
           ...
         the one-step errors suggest order 3 (MDL)
         """
-        if not self.canonical_correlations.size:
+        if self.projection is None:
             raise InputError(f"{self.label} has no canonical correlations; N4SID estimates them")
-        values = self.canonical_correlations[: max(10, self.order + 2)]
+        values = self.projection.canonical_correlations[: max(10, self.order + 2)]
         lines = ["canonical correlations of past and future:"]
         lines += [
             f"  {k:2}  {value:8.5f}{'  <- order' if k == self.order else ''}"
             for k, value in enumerate(values, 1)
         ]
-        lines.append(f"the one-step errors suggest order {self.suggested_order} (MDL)")
+        lines.append(f"the one-step errors suggest order {self.projection.suggested_order} (MDL)")
         return "\n".join(lines)
 
     def summary(self) -> Summary:

@@ -18,7 +18,7 @@ from armrig_core.process.bounded import read_text
 from armrig.data.step import Step
 from armrig.models.fit import Fit
 from armrig.models.matrices import Matrices
-from armrig.models.model_writing import FORMAT, FORMS, VERSION
+from armrig.models.model_writing import FORMAT, FORMS, PARTS, VERSION
 from armrig.numerics.quantities import plural
 
 FORMAT_OF_SEVERAL = "armrig-multivariable-model"
@@ -155,15 +155,25 @@ def _build_fit(content: dict[str, Any]) -> Fit:
     hints = get_type_hints(Fit) | {"form": FORMS[kind]}
     # Fields that a file of an earlier release lacks keep their defaults.
     needed = {f.name for f in fields(Fit) if f.default is f.default_factory is MISSING}
-    needed |= {"starts", "history", "findings"}
+    needed |= {"history", "findings"}
     values = {
         f.name: _value(f.name, content[f.name], hints[f.name])
         for f in fields(Fit)
-        if f.name in {*content, *needed}
+        if f.name not in PARTS and f.name in {*content, *needed}
     }
+    values |= {name: _part(part, content) for name, part in PARTS.items()}
+    if not values["projection"].horizon:
+        values["projection"] = None
     steps = zip(values["history"], content["treatment"], strict=True)
     values["history"] = tuple(Step(text, code) for text, code in steps)
     return Fit(**values)
+
+
+def _part(kind: type[Any], content: dict[str, Any]) -> Any:
+    """Return a part of a model, whose fields are at the top level of a file."""
+    hints = get_type_hints(kind)
+    names = [f.name for f in fields(kind) if f.name in content or f.name == "starts"]
+    return kind(**{name: _value(name, content[name], hints[name]) for name in names})
 
 
 def _value(name: str, content: Any, kind: Any) -> Any:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armrig.data.step import codes_of
+from armrig.models.estimate import Minimisation, PastProjection
 from armrig.models.matrices import Matrices
 from armrig.models.polynomials import Polynomials
 from armrig.models.transfer_function import TransferFunction
@@ -30,6 +31,11 @@ FORMS: dict[str, type[Matrices] | type[Polynomials] | type[TransferFunction]] = 
     "transfer function": TransferFunction,
 }
 """Classes of the parameters, by the names of the classes in a file."""
+PARTS: dict[str, type[Minimisation] | type[PastProjection]] = {
+    "search": Minimisation,
+    "projection": PastProjection,
+}
+"""Classes of the parts of a model whose fields are at the top level of a file."""
 
 
 def save_fit(fit: Fit, path: str | PathLike[str]) -> None:
@@ -50,7 +56,14 @@ def model_text(fit: Fit) -> str:
 def _plain(value: Any) -> Any:
     """Return a value for JSON; a number that is not finite becomes "nan", "inf" or "-inf"."""
     if is_dataclass(value):
-        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+        content: dict[str, Any] = {}
+        for f in fields(value):
+            x = getattr(value, f.name)
+            if kind := PARTS.get(f.name):
+                content |= _plain(x or kind())  # in a file, its fields are those of the model
+            else:
+                content[f.name] = _plain(x)
+        return content
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
     if isinstance(value, Mapping):

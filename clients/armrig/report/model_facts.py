@@ -129,7 +129,7 @@ def _estimation(name: str, fit: Fit, *, alone: bool) -> Iterator[str]:
         f"{name}: loss {power(fit.loss)} {fit.unit}²{criteria}; "
         f"on the estimation data, {whiteness_sentence(fit, 'σ', 'σ robust')}."
     )
-    if not fit.converged:
+    if not fit.search.converged:
         yield "The search did not converge."
     for w in fit.warnings:
         yield f"{w[:1].upper()}{w[1:].rstrip('.')}."

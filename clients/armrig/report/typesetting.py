@@ -85,7 +85,7 @@ def source_folder(folder: Path | None) -> Iterator[Path]:
             raise OperationError(f"{folder}: contains files already; name a new folder")
     except OSError as err:
         raise OperationError(
-            f"{folder}: {err.strerror}; name a new folder in a folder that you can write to"
+            f"{folder}: {err.strerror}; give a new folder, in a place where you can write"
         ) from err
     yield folder
 

@@ -154,7 +154,8 @@ def _examine_channels(model: Fit) -> Iterator[tuple[Name, Advice]]:
     topics = {f.about for f in fit_findings}
     for name, estimate in channels.items():
         superfluous = [p for p in pairs[name] if all(_cancels(p[0], peers) for peers in everywhere)]
-        channel = replace(estimate, starts=fit.starts, findings=fit_findings)
+        search = replace(estimate.search, starts=fit.search.starts)
+        channel = replace(estimate, search=search, findings=fit_findings)
         advised = _findings_of_channel(channel, pairs[name], superfluous, kind)
         findings = [*fit_findings, *(f for f in advised if f.about not in topics)]
         # A model of a constant level has a pole near 1, too.
@@ -170,8 +171,10 @@ def _cancels(pole: complex, pairs: list[_Pair]) -> bool:
 def _findings_of_channel(
     fit: Fit, pairs: list[_Pair], superfluous: list[_Pair], kind: RegisteredStructure
 ) -> Iterator[Finding]:
-    if fit.converged and fit.agreed:
-        yield good("search", "one minimum" if fit.starts or kind.continuous else "closed form")
+    if fit.search.converged and fit.search.agreed:
+        yield good(
+            "search", "one minimum" if fit.search.starts or kind.continuous else "closed form"
+        )
     text = whiteness_sentence(fit, "the ordinary deviations", "the robust deviations")
     if fit.trusts_robust:
         yield warning("residuals", f"{text}; {COLOURED}", "search")
@@ -366,7 +369,7 @@ def examine_fit_of(
     yield from _about_rails(data)
     poles = fit.poles()
     apart = np.all(np.abs(poles.values - 1) > _MIN_POLE_SIGMAS * np.asarray(poles.std))
-    if tests.integration.notes and not fit.integrator and not (fit.converged and apart):
+    if tests.integration.notes and not fit.integrator and not (fit.search.converged and apart):
         finding = _about_integrator(tests.integration)
         yield replace(finding, level="warning", remedy=finding.remedy or "integrator")
     if tests.together and not (tests.loop and tests.loop.laws):  # the fit has a finding on laws

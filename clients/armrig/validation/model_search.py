@@ -432,7 +432,9 @@ def _keep_needed(candidates: list[Candidate], ranking: _Ranking) -> list[Candida
 
 def _finalists(ranking: _Ranking) -> list[Candidate]:
     """Return the best candidates again, with all starts, if their few starts disagreed."""
-    few = [s.candidate for s in ranking[0] if not s.fit.agreed and s.candidate.request.starts]
+    few = [
+        s.candidate for s in ranking[0] if not s.fit.search.agreed and s.candidate.request.starts
+    ]
     return [replace(c, request=structs.replace(c.request, starts=None)) for c in few[:_FINALISTS]]
 
 

@@ -120,7 +120,7 @@ def test_a_figure_in_a_folder_never_replaces_a_recording(tmp_path: Path) -> None
     path.write_bytes(b"\x89MCAP0\r\n")
     drawn: dict[str, Any] = {name: lambda ax: ax.plot(0, 0) for name in "ab"}
 
-    with pytest.raises(ValueError, match=r"b\.png: is a recording, which would be lost"):
+    with pytest.raises(ValueError, match=r"b\.png: is a recording, which would be overwritten"):
         write_plot(tmp_path / "*.png", **drawn)
 
     assert [*tmp_path.iterdir()] == [path]
@@ -137,7 +137,7 @@ def test_an_input_path_is_recognised_under_another_name(
 
     assert main(["identify", str(data), "--structure", "arx", "--save", str(other)]) == 1
 
-    assert f"{other}: is an input file, which would be lost" in told(capsys)
+    assert f"{other}: is an input file, which would be overwritten" in told(capsys)
     assert data.read_bytes() == before
 
 

@@ -199,7 +199,7 @@ def test_a_file_that_needs_an_option_is_refused_with_a_line_that_works(
     [
         ("--name lamp", "@lamp is already a complete recording"),
         ("--name LAMP", "at most 31 of a-z, 0-9 and - are allowed"),
-        ("-o lamp.csv", "would be lost"),
+        ("-o lamp.csv", "would be overwritten"),
         ("--unwrap 360", "--unwrap needs --signal NAME"),
         ("--resample", "--resample needs --input NAME"),
         ("--input power --signal power2", "there is no such column"),

@@ -28,7 +28,7 @@ def plant(zero: float, *, N: int = 1000, std: float = 0.05, seed: int = 1) -> ar
 def test_separate_poles_and_zeros_are_trusted() -> None:
     fit = armrig.oe(plant(-0.5), nb=2, nf=2)
 
-    assert fit.curvature < 0.1
+    assert fit.search.curvature < 0.1
     assert fit.trusts_coefficients
     assert str(fit).count(": trust std\n") == 1
     assert not fit.warnings
@@ -93,7 +93,7 @@ def test_each_output_of_a_model_is_judged() -> None:
 
     fit = armrig.oe(signals, nb=2, nf=2)
 
-    assert fit.curvature == armrig.oe(bad, nb=2, nf=2).curvature > 0.3
+    assert fit.search.curvature == armrig.oe(bad, nb=2, nf=2).search.curvature > 0.3
     assert any("far from parabolic" in text for text in fit.warnings)
 
 
@@ -109,7 +109,7 @@ def test_coloured_residuals_hide_no_curvature() -> None:
 
 def test_a_linear_regression_is_a_parabola() -> None:
     """ARX is linear, and n4sid has no covariance of such coefficients."""
-    assert armrig.arx(plant(0.605, std=0.5), na=2, nb=2).curvature == 0.0
+    assert armrig.arx(plant(0.605, std=0.5), na=2, nb=2).search.curvature == 0.0
 
 
 @pytest.mark.parametrize("exponent", [0.0, 0.5])

@@ -352,5 +352,5 @@ def test_a_shared_denominator_leaves_a_local_minimum() -> None:
 
     fit = drawn.fit(drawn.signals(500, 0.0, (19, 500, 0)))
 
-    assert fit.starts[0].name == "chassis, arm: moved mode"
+    assert fit.search.starts[0].name == "chassis, arm: moved mode"
     assert fit.poles().values.real.min() > 0.2

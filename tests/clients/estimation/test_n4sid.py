@@ -194,9 +194,10 @@ def test_noise_is_not_estimated_from_the_time_before_the_first_sample(missing: b
 def test_the_order_is_suggested_by_the_states_errors(seed: int) -> None:
     fit = n4sid(_data(seed, 3000))
 
-    assert fit.order == fit.suggested_order == 2
-    assert (np.diff(fit.canonical_correlations) <= 0).all()
-    assert 0 <= fit.canonical_correlations[-1] <= fit.canonical_correlations[0] <= 1
+    assert fit.order == fit.projection.suggested_order == 2
+    correlations = fit.projection.canonical_correlations
+    assert (np.diff(correlations) <= 0).all()
+    assert 0 <= correlations[-1] <= correlations[0] <= 1
     assert "<- order" in fit.explain()
 
 
@@ -207,9 +208,10 @@ def test_a_model_of_two_outputs_has_the_correlations_of_its_projection() -> None
 
     fit = n4sid(Signals(u=data.u, y=np.column_stack([data.y, late]), Ts=1.0), replicates=0)
 
-    assert fit.order == fit.suggested_order == 3
-    assert fit.canonical_correlations[2] > 0.5 > fit.canonical_correlations[3]
-    assert fit.singular_values.size > fit.horizon > 3
+    assert fit.order == fit.projection.suggested_order == 3
+    assert fit.projection.canonical_correlations[2] > 0.5
+    assert fit.projection.canonical_correlations[3] < 0.5
+    assert fit.projection.singular_values.size > fit.projection.horizon > 3
     assert "   3   0.5" in fit.explain()
 
 
@@ -250,7 +252,7 @@ def test_noise_on_the_output_keeps_the_long_horizon() -> None:
 
     fits, short = ([n4sid(x, 4, horizon=h) for x in data] for h in (None, 6))
 
-    assert min(fit.horizon for fit in fits) >= 10
+    assert min(fit.projection.horizon for fit in fits) >= 10
     assert 2 * _excess(fits, [1.0], [1.0]) < _excess(short, [1.0], [1.0])
 
 

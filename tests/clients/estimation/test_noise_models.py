@@ -68,8 +68,8 @@ def test_the_true_system_is_found(case: Case) -> None:
     assert (np.abs(fit.theta - truth) < 4 * fit.std).all()
     assert (fit.std < 0.05).all()
     np.testing.assert_allclose(fit.std_robust, fit.std, rtol=0.15)
-    assert fit.converged
-    assert fit.agreed
+    assert fit.search.converged
+    assert fit.search.agreed
     assert fit.whiteness > 0.01
     assert fit.noise_variance == pytest.approx(0.25, rel=0.1)
 
@@ -208,9 +208,13 @@ def test_the_starts_of_a_noise_model_are_reported() -> None:
     three = bj(bj_data(8), nb=2, nc=1, nd=1, nf=2)
     two = armax(armax_data(8), na=2, nb=2, nc=1)
 
-    assert {s.name for s in three.starts} >= {"ARX", "OE", "high-order ARX, Steiglitz-McBride"}
-    assert {s.name for s in two.starts} == {"ARX", "Hannan-Rissanen"}
-    assert all(s.converged for s in (*three.starts, *two.starts))
+    assert {s.name for s in three.search.starts} >= {
+        "ARX",
+        "OE",
+        "high-order ARX, Steiglitz-McBride",
+    }
+    assert {s.name for s in two.search.starts} == {"ARX", "Hannan-Rissanen"}
+    assert all(s.converged for s in (*three.search.starts, *two.search.starts))
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ def test_noise_free_data_give_back_the_true_parameters(
 
     np.testing.assert_allclose(fit.F, F, atol=1e-6)
     np.testing.assert_allclose(fit.B, B, atol=1e-6)
-    assert fit.converged
+    assert fit.search.converged
     assert not fit.warnings
 
 
@@ -69,7 +69,7 @@ def test_the_handout_s_plant_is_found_to_one_per_cent(plant: HandoutPlant, fits:
 
     assert np.median(errors) <= 0.01
     assert max(errors) <= 0.02
-    assert all(fit.converged and fit.agreed for fit in fits)
+    assert all(fit.search.converged and fit.search.agreed for fit in fits)
 
 
 @pytest.mark.exhaustive
@@ -138,8 +138,8 @@ def test_many_short_experiments_leave_the_residuals_white(plant: HandoutPlant) -
 def test_rounding_noise_is_not_reported_as_coloured(plant: HandoutPlant) -> None:
     fit = oe(plant.dataset(1, std=0.0), nb=4, nf=4, integrator=True)
 
-    assert fit.converged
-    assert fit.agreed
+    assert fit.search.converged
+    assert fit.search.agreed
     assert fit.warnings == ()
 
 
@@ -199,7 +199,7 @@ def test_resonant_systems_are_identified_without_start_values(std: float) -> Non
 
         fit = oe(Dataset(u=u, y=clean + e, Ts=1), nb=4, nf=4)
 
-        if fit.loss > np.mean(e**2) or not fit.converged:
+        if fit.loss > np.mean(e**2) or not fit.search.converged:
             missed.append(seed)
 
     assert missed == []

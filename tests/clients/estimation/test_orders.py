@@ -294,7 +294,7 @@ def test_all_outputs_have_one_score_and_converge_together(
     fit: Any = armrig.bj(data, nb=1, nc=nc, nd=nd, nf=[[1, 0], [0, 1]])
 
     assert scores == [score]
-    assert not fit.converged
+    assert not fit.search.converged
     [search] = fit.findings
     assert search.text.startswith("the search of b did not converge in 7 steps: lower the orders")
 
@@ -307,6 +307,6 @@ def test_the_loss_of_a_start_value_is_that_of_its_errors() -> None:
     fit: Any = armrig.oe(data, nb=1, nf=[[1, 0], [0, 1]])
 
     for i, name in enumerate("ab"):
-        loss = min(s.loss for s in fit.starts if s.name.startswith(f"{name}: "))
+        loss = min(s.loss for s in fit.search.starts if s.name.startswith(f"{name}: "))
         assert loss == pytest.approx(fit.quality[i].loss, rel=1e-6)
         assert valid[:, i].sum() == fit.quality[i].N

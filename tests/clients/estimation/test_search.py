@@ -68,9 +68,9 @@ def test_a_mode_that_fits_noise_is_moved_to_the_lowest_minimum() -> None:
     fit = bj(data, nb=4, nc=2, nd=2, nf=4)
 
     assert fit.loss <= lowest * (1 + 1e-6)
-    assert fit.starts[0].name == "mode at another frequency"
-    assert all(s.loss > 1.01 * lowest for s in fit.starts[1:])
-    assert not fit.agreed
+    assert fit.search.starts[0].name == "mode at another frequency"
+    assert all(s.loss > 1.01 * lowest for s in fit.search.starts[1:])
+    assert not fit.search.agreed
     assert any("poorer minimum" in w for w in fit.warnings)
 
 

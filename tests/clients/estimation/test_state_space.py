@@ -268,7 +268,7 @@ def test_estimates_lie_within_their_deviations(seed: int, missing: float) -> Non
     order = [int(np.argmin(np.abs(poles.values - z))) for z in POLES]
     z = np.abs(poles.values[order] - POLES) / poles.std[order]
     assert z.max() < 3.5
-    assert fit.converged
+    assert fit.search.converged
     np.testing.assert_allclose(fit.noise_covariance, LAMBDA, rtol=0.25)
     omega = np.array([0.5, 5.0, 20.0])
     answer = fit.frequency_response(omega)

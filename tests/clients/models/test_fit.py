@@ -10,6 +10,7 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.polynomial_structures import oe
+from armrig.models.estimate import PastProjection
 from armrig.models.fit import Fit
 from armrig.numerics.polynomial import apply_filter
 from hypothesis import given, settings
@@ -94,3 +95,25 @@ def test_the_trusted_covariance_depends_on_the_residuals(fit: Fit) -> None:
     assert white.trusted_covariance[0, 0] == 1.0
     assert coloured.trusted_covariance[0, 0] == 9.0
     assert (made_up.std[0], made_up.std_robust[0]) == (1.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("part", "name"),
+    [
+        *(("search", x) for x in ("converged", "starts", "agreed", "curvature")),
+        *(("projection", x) for x in ("weights", "horizon", "singular_values", "suggested_order")),
+        ("projection", "canonical_correlations"),
+    ],
+)
+def test_a_value_of_a_search_or_projection_warns_under_its_earlier_name(
+    part: str, name: str, fit: Fit
+) -> None:
+    projected = replace(fit, projection=PastProjection(weights="cva", horizon=9))
+
+    with pytest.warns(DeprecationWarning, match=rf"fit.{name} is fit.{part}.{name} now"):
+        value = getattr(projected, name)
+    assert value is getattr(getattr(projected, part), name)
+    with pytest.warns(DeprecationWarning, match="fit.horizon is"):
+        assert not fit.horizon
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        _ = projected.nothing

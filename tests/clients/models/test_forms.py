@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Signals
 from armrig.data.finding import warning
+from armrig.models.estimate import Minimisation
 from armrig.models.polynomials import Polynomials
 from armrig.models.state_space import StateSpace
 from armrig.numerics.polynomial import Array, apply_filter
@@ -223,7 +224,9 @@ def test_the_joint_response_contains_the_response_of_each_channel() -> None:
 
 
 def test_the_text_of_several_signals_has_a_line_for_each_output_and_the_poles() -> None:
-    fit = fit_of_form(apart(), findings=(warning("x", "doubtful"),), converged=False)
+    fit = fit_of_form(
+        apart(), findings=(warning("x", "doubtful"),), search=Minimisation(converged=False)
+    )
 
     first, a, b, noise, poles, doubt = repr(fit).splitlines()
 

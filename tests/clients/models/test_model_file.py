@@ -15,7 +15,7 @@ from armrig.data.finding import warning
 from armrig.data.merging import merge
 from armrig.data.step import MEAN, Step, codes_of
 from armrig.estimation.polynomial_structures import bj
-from armrig.models.estimate import Start
+from armrig.models.estimate import Minimisation, PastProjection, Start
 from armrig.models.fit import Fit
 from armrig.models.model_file import fit_of, load_fit
 from armrig.models.model_writing import model_text
@@ -48,22 +48,26 @@ def filled(fit: Fit) -> Fit:
         offset=True,
         shared=True,
         output_weights=(1.5, 2.5),
-        converged=False,
-        agreed=False,
-        curvature=0.75,
-        starts=(
-            Start(name="IV", loss=float("inf"), iterations=7, converged=False),
-            Start(name="ARX", loss=0.5, iterations=2, converged=True),
+        search=Minimisation(
+            converged=False,
+            agreed=False,
+            curvature=0.75,
+            starts=(
+                Start(name="IV", loss=float("inf"), iterations=7, converged=False),
+                Start(name="ARX", loss=0.5, iterations=2, converged=True),
+            ),
         ),
         free=(
             FreeResponse(transients=(0.5, -1.5), level=2.5, offset=-3.5),
             FreeResponse(transients=(), level=0.5, offset=float("inf")),
         ),
-        weights="cva",
-        horizon=14,
-        suggested_order=3,
-        singular_values=np.array([3.0, 1 / 3]),
-        canonical_correlations=np.array([0.9, 1 / 7]),
+        projection=PastProjection(
+            weights="cva",
+            horizon=14,
+            suggested_order=3,
+            singular_values=np.array([3.0, 1 / 3]),
+            canonical_correlations=np.array([0.9, 1 / 7]),
+        ),
         findings=(numbers, warning("reflected", "second", "order")),
         source="ab12",
         history=(Step("removed the mean", MEAN), "weighed"),
@@ -80,10 +84,13 @@ def test_a_saved_model_is_loaded_exactly(fit: Fit, name: str, tmp_path: Path) ->
     loaded = load_fit(tmp_path / "model.json")
 
     for field in dataclass_fields(Fit):
-        if field.name not in ("form", "quality"):
+        if field.name not in ("form", "quality", "projection"):
             found, known = getattr(loaded, field.name), getattr(saved, field.name)
             np.testing.assert_array_equal(found, known, field.name)
             assert type(found) is type(known)
+    for field in dataclass_fields(PastProjection):
+        found, known = (getattr(fit.projection, field.name) for fit in (loaded, saved))
+        np.testing.assert_array_equal(found, known, field.name)
     assert loaded.findings == saved.findings
     assert codes_of(loaded.history) == [MEAN, ""]
     np.testing.assert_array_equal(loaded.theta, saved.theta)

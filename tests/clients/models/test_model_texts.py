@@ -19,7 +19,7 @@ from armrig.models.equation import (
     sources_of,
     whiteness_sentence,
 )
-from armrig.models.estimate import Start
+from armrig.models.estimate import Minimisation, Start
 from armrig.models.summary import summary
 from armrig.models.uncertainty import Draws
 
@@ -35,7 +35,8 @@ def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(("agreed", "converged"), [(True, False), (False, True), (True, True)])
 def test_agreement_and_convergence_are_reported_separately(agreed: bool, converged: bool) -> None:
     start = Start(name="IV", loss=0.5, iterations=1, converged=converged)
-    said = repr(made(starts=(start,), agreed=agreed, converged=converged))
+    search = Minimisation(starts=(start,), agreed=agreed, converged=converged)
+    said = repr(made(search=search))
 
     how = "agree" if agreed else "DISAGREE, the best one was used"
     assert f"starts {how}: IV 0.5{'' if converged else ' (NOT CONVERGED)'}" in said.splitlines()[-1]
@@ -58,7 +59,11 @@ def test_each_structure_has_its_equation(orders: dict[str, Any], expected: str) 
 
 def test_the_text_names_the_trustworthy_deviations() -> None:
     said = {
-        whiteness_sentence(made(structure=structure, whiteness=p, curvature=curvature), "s", "r")
+        whiteness_sentence(
+            made(structure=structure, whiteness=p, search=Minimisation(curvature=curvature)),
+            "s",
+            "r",
+        )
         for structure, p, curvature in (
             ("iv4", 0.5, 0.0),
             ("oe", 0.5, 0.31),

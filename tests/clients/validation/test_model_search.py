@@ -286,7 +286,7 @@ def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
     assert found.fit.estimated_from(data)
     assert found.chosen.error.size == data.N  # each half was predicted by the other half's model
     again = armrig.oe(data, **found.chosen.candidate.request.counts)
-    assert [s.name for s in found.fit.starts] == [s.name for s in again.starts]
+    assert [s.name for s in found.fit.search.starts] == [s.name for s in again.search.starts]
     assert "the part of the data that did not estimate them" in found.table()
 
 

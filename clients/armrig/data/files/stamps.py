@@ -208,8 +208,8 @@ def _of_numbers(table: Table, i: int, named: str) -> Times:
     span = float(np.ptp(t)) * unit
     if span and not _SPAN_S[0] <= span <= _SPAN_S[1]:
         raise FileError(
-            f"{named} span {digits(span, 3)} s, allowed are {_SPAN_S[0]:g} to {_SPAN_S[1]:g} s; "
-            "give Ts in s (--Ts)"
+            f"{named} cover {digits(span, 3)} s, but {_SPAN_S[0]:g} to {_SPAN_S[1]:g} s are "
+            "allowed; give Ts in s (--Ts)"
         )
     return Times(
         # The difference first: the unit of an epoch in ns would round times of 1e18.

@@ -238,6 +238,7 @@ def _identification_row(task: Identify, data: Dataset, doubted: list[str]) -> Ro
     task.check(data)
     fit = task.estimated(data)
     return _attributes(fit, "identify") | {
+        "converged": fit.search.converged,
         "nk": task.nk,
         "p_white": fit.whiteness,
         "parameters": fit.theta,
@@ -248,7 +249,8 @@ def _identification_row(task: Identify, data: Dataset, doubted: list[str]) -> Ro
 
 def _attributes(result: object, task: str) -> Row:
     """Return the columns of a task that are attributes of a result with the same names."""
-    return {name: getattr(result, name) for name in OF_THE_TASK[task] if hasattr(result, name)}
+    names = {*OF_THE_TASK[task]} & {*dir(result)}
+    return {name: getattr(result, name) for name in names}
 
 
 def _validation_row(fit: Fit, data: Dataset, doubted: list[str]) -> Row:

@@ -330,8 +330,8 @@ def test_an_unusual_range_is_not_guessed(tmp_path: Path) -> None:
         ("t,u,y\n0,1,1\n1,1,2\n2,1,3\n", {"resample": True, "Ts": 1e-6}, "give a larger --Ts"),
         ("t,u,y\n0,1,1\n1,1,2\n", {"Ts": -1.0}, "Ts=-1.0 must be finite and > 0, in s"),
         ("t,u,y\n0,1,1\n1,1,9\n2,1,3\n", {"unwrap": 1e-9}, "give the range of the counter"),
-        ("t,u,y\n0,1,1\n1,1,9\n2e300,1,3\n", {}, "span 2e\\+300 s, allowed are 1e-09 to 1e\\+11"),
-        ("t,u,y\n0,1,1\n1e-300,1,9\n2e-300,1,3\n", {}, "span 2e-300 s, allowed are 1e-09 to"),
+        ("t,u,y\n0,1,1\n1,1,9\n2e300,1,3\n", {}, "cover 2e\\+300 s, but 1e-09 to 1e\\+11 s"),
+        ("t,u,y\n0,1,1\n1e-300,1,9\n2e-300,1,3\n", {}, "cover 2e-300 s, but 1e-09 to"),
     ],
 )
 def test_an_option_that_contradicts_the_file_is_refused(
