@@ -118,7 +118,10 @@ REFUSED = [
     ("identify data.csv --structure arx --signal u", "input and signal are both column 2"),
     # Where to write.
     ("identify est.mcap --structure arx -o no/f.png", "there is no directory no; create it first"),
-    ("identify est.mcap --structure arx --save est.mcap", "would be lost; give another name"),
+    (
+        "identify est.mcap --structure arx --save est.mcap",
+        "would be overwritten; give another name",
+    ),
     ("report", "give recordings to report on"),
     ("report est.mcap -o report.docx", "give a name that ends in .pdf"),
     ("report est.mcap -o report.pdf", "--force overwrites it, or give another name"),
