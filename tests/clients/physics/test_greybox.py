@@ -411,3 +411,11 @@ def test_the_final_weights_of_the_outputs_are_the_deviations_of_their_residuals(
 
     e = problem.residuals(best.theta)
     np.testing.assert_allclose(problem.std, np.sqrt(np.mean(e**2, axis=0)), rtol=1e-3)
+
+
+def test_errors_of_another_output_are_refused() -> None:
+    data = armrig.example_recording().signals()
+    fit = armrig.greybox(data.dataset("theta_1"), armrig.physics.arm)
+
+    with pytest.raises(ValueError, match="outputs are theta_1 and the data have alpha; give data"):
+        fit.errors(data.dataset("alpha"))

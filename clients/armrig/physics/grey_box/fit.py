@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Dataset, Signals
 from armrig.numerics.inference import OutputQuality
-from armrig.numerics.quantities import digits, plural
+from armrig.numerics.quantities import digits, join_names, plural
 from armrig.physics.grey_box.physical_models import PhysicalModel
 
 if TYPE_CHECKING:
@@ -205,6 +205,11 @@ class GreyFit:
         The initial state of each experiment is estimated from `data`, and for a linear model the
         offset of the input. A linear model is simulated without Coulomb friction.
 
+        Raises
+        ------
+        ValueError
+            The data have other outputs than the model; the name y means any output.
+
         Examples
         --------
         >>> import armrig, numpy as np
@@ -215,7 +220,13 @@ class GreyFit:
         """
         from armrig.physics.grey_box.shooting import Shooting
 
-        parts, nothing = tuple(data.signals().experiments()), np.zeros(0)
+        signals, outputs = data.signals(), (*self.by_output,) or (self.output,)
+        if outputs != signals.outputs and not {"y"} & {*outputs, *signals.outputs}:
+            raise InputError(
+                f"the model's outputs are {join_names(outputs)} and the data have "
+                f"{join_names(signals.outputs)}; give data with the model's outputs"
+            )
+        parts, nothing = tuple(signals.experiments()), np.zeros(0)
         with np.errstate(all="ignore"):
             problem = Shooting.of(self.physics, (), dict(self._values), parts)
             z = problem.solve_relaxed(nothing, problem.start_states(nothing))
