@@ -60,7 +60,6 @@ NAMES: dict[str, list[tuple[str, str]]] = {
     "epoch": [("time", ""), ("timestamp", ""), ("ts", ""), ("epoch", "")],
 }
 PREAMBLE = ("Logger: ACME 300", "Serial,12345", "Operator: lab", "Sample rate: 100", "", "ch 1: ok")
-UNNAMED = ("none", "hashed names")
 ORDERS = (*4 * ["rising"], *2 * ["falling", "gap"], "shuffled", "restart")
 MARKS = ("none", "none", "missing", "bool", "units in cells", "thousands", "at changes")
 NUMERIC = re.compile(r"-?[\d.]+(e[-+]\d+)?|null|true|false")
@@ -247,7 +246,7 @@ def _write_text(case: Case, rng: Generator, t: Pair, values: Pair) -> None:
             case.facts |= {"input": numbers[case.names[0]], "signal": numbers[case.names[1]]}
         suffix = form if form in ("csv", "tsv", "jsonl") else "txt"
         case.files[f"data{i or ''}.{suffix}"] = _content(rng, d, columns)
-    if d["header"] in UNNAMED and d["clock"] != "none":
+    if d["header"] == "none" and d["clock"] != "none":
         case.facts["time"] = "1"
     if d["header"] == "none":
         case.options |= {x: case.facts[x] for x in ("input", "signal", "time") if x in case.facts}
@@ -372,7 +371,7 @@ def differences(case: Case, z: Signals) -> list[str]:
         faults.append(f"Ts {z.Ts:g} in place of {case.Ts:g}")
     units = [x * bool(true) for x, true in zip((*z.input_units, *z.units), case.units, strict=True)]
     names = [x.rpartition(".")[2] for x in (*z.inputs, *z.outputs)]
-    words = [*(case.names if case.dialect["header"] in UNNAMED else names), *units]
+    words = [*(case.names if case.dialect["header"] == "none" else names), *units]
     if words != (true := [*case.names, *case.units]):
         faults.append(f"{words} in place of {true}")
     u, y = z.u[:, 0], z.y[:, 0]

@@ -52,7 +52,8 @@ def head_of(lines: Lines, separator: str) -> Head:
     """
     probed = [split(line, separator) for _, line in lines[:PROBED_LINES]]
     run = longest_run(probed) or range(len(probed), len(probed))
-    row = probed[run[-1]] if run else [*probed, [""]][0]
+    # Of the run, the last row with the most values: a missing value resembles any cell.
+    row = max((probed[k] for k in reversed(run)), key=_count_values, default=[*probed, [""]][0])
     begin = next((k for k in range(run.start) if _resembles(probed[k], row)), run.start)
     above = [k for k in range(begin) if set(map(kind, probed[k])) != {CellKind.MISSING}]
     is_closed = all(not probed[k][-1].strip() for k in run)
@@ -106,6 +107,10 @@ def longest_run(probed: Sequence[Sequence[str]]) -> range:
         begin = end
     # Of equally long runs the last: facts about the file are above its rows.
     return max(reversed(runs), key=len, default=range(0))
+
+
+def _count_values(cells: Sequence[str]) -> int:
+    return sum(kind(cell) in _VALUES for cell in cells)
 
 
 def has_values(cells: Sequence[str]) -> bool:

@@ -29,6 +29,7 @@ from armrig.data.files.instrument_headers import (
     PROBED_LINES,
     TIMES,
     Lines,
+    columns_of,
     has_values,
     head_of,
     head_of_instrument,
@@ -174,6 +175,7 @@ def read_text(
     """Return the table that a text contains; `ways_out` are the remedies that its errors name.
 
     Lines that are empty, or begin with # or %, are remarks; units below the names may begin with %.
+    The last remark above the first row may contain the names, as `numpy.savetxt` writes them.
     A first line such as `sep=;` names the separator; otherwise the separator is that of the longest
     run of rows in the first 65 lines. The lines of words above the rows contain names, or names and
     units. Up to 30 lines above the names are left out. The numbers show the decimal mark, or
@@ -201,6 +203,10 @@ def read_text(
         below = f" below its names, {shorten(shown_names)}" * bool(columns)
         raise FileError(f"there is no row of numbers{below}; a row for each sample is needed")
     numbers, rows, width = _even_rows(lines, separator, len(columns))
+    if not columns and (columns := _columns_in_remark(text, numbers[0] - 1, separator, width)):
+        named = f"line {numbers[0] - 1}, a remark, is read as the names of the columns"
+        is_sure = separator or any(column.name.casefold() in TIMES for column in columns)
+        notes = [*notes, named if is_sure else Step(named, DOUBT)]
     columns = columns or [Column(name="")] * width
     if receipts:
         is_taken = any(column.name.casefold() in TIMES for column in columns)
@@ -236,6 +242,19 @@ def _without_remarks(text: str) -> Lines:
             if not is_below_remark:
                 lines.append((k, line))
     return lines
+
+
+def _columns_in_remark(text: str, k: int, separator: str, width: int) -> list[Column]:
+    """Return the columns that line k names, a remark as numpy.savetxt writes it; [] for another.
+
+    Between blanks, a remark of as many words as there are columns may be a sentence.
+    """
+    line = text.splitlines()[k - 1].strip() if k else ""
+    cells = split(line.lstrip("".join(_REMARK_MARKS)).strip(), separator)
+    names = [cell.strip().strip('"') for cell in cells]
+    is_named = line[:1] in _REMARK_MARKS and len({*names}) == width == len(names) > 1
+    is_named &= all(kind(name) is CellKind.WORD for name in names)
+    return columns_of(names) if is_named else []
 
 
 def _is_units(line: str) -> bool:

@@ -454,3 +454,37 @@ def test_decimal_commas_between_blanks_are_not_cut(tmp_path: Path) -> None:
 
     assert data.u[:3].tolist() == [0.5, 1.5, 2.5]
     assert data.y[:2].tolist() == [100.5, 101.5]
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", " "])
+def test_a_remark_above_the_rows_contains_the_names(tmp_path: Path, delimiter: str) -> None:
+    """`numpy.savetxt` writes the names so; the unit of the time is milliseconds."""
+    rows = np.column_stack([0.2 * np.arange(40), np.arange(40) % 2, np.arange(40.0)])
+    names = delimiter.join(["time_ms", "lamp", "temp"])
+    np.savetxt(tmp_path / "a.txt", rows, delimiter=delimiter, header=f"logger 1.2\n{names}")
+
+    data = load_data(tmp_path / "a.txt", input="lamp", signal="temp")
+
+    assert (data.input, data.output, data.Ts) == ("lamp", "temp", 0.0002)
+    assert data.y.tolist() == [float(k) for k in range(40)]
+
+
+def test_a_sentence_in_a_remark_is_doubted_as_names(tmp_path: Path) -> None:
+    path = written(tmp_path, "# from monday morning\n0 1 2\n1 0 3\n2 1 4\n", "a.txt")
+
+    data = load_data(path, input="2", signal="3", time="1")
+
+    assert DOUBT in codes_of(data.history)
+    bare = load_data(
+        written(tmp_path, "# 3 rows\n0 1 2\n1 0 3\n2 1 4\n"), input="1", Ts=1, signal="2"
+    )
+    assert (bare.output, DOUBT in codes_of(bare.history)) == ("y", False)
+
+
+def test_facts_above_rows_with_missing_values_are_no_rows(tmp_path: Path) -> None:
+    rows = "".join(f"{k if k % 9 == 0 else ''},{100 + k}\n" for k in range(40))
+    facts = "Serial,12345\nch 1: ok\n" * 3
+
+    data = load_data(written(tmp_path, f"{facts}u,y\n{rows}"), Ts=1, hold_input=True)
+
+    assert (data.y[0], data.y[-1]) == (100.0, 139.0)
