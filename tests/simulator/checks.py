@@ -573,6 +573,8 @@ class Checks:
 
     def remember(self, k: int, got: int, *, scheduled: bool) -> None:
         """Remember the code of the motor's voltage for a sample."""
+        if k < 0:  # the rest that START latches, before the first sample of the run
+            return
         codes = self._latched_codes
         codes[self.k_first + k if scheduled else k] = got
         if len(codes) > 2_000:
