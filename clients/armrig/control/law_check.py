@@ -286,6 +286,8 @@ def check_law(
     doubts = doubts_about(law.design, design, validation)
     if law.monitor is None:
         doubts += ("the law has no monitor: it runs only with unmonitored=True (--unmonitored)",)
+    elif design.rig and (doubt := law.monitor_doubt(design.rig)):
+        doubts += (f"{doubt}: it runs only with unmonitored=True (--unmonitored)",)
     plants = [p for p in design.draw(draws) if np.isfinite(p.A).all() and np.isfinite(p.B).all()]
     omega = frequency_grid(matrices, design.plant, Ts)
     hidden = count_hidden_modes(close_loop(matrices, [design.plant]))

@@ -129,6 +129,8 @@ class DesignModel:
     """Name of the rate of each output."""
     sha256: str
     """Hash of the parameters of the model."""
+    rig: Description | None
+    """Rig of the law; None if it is not known."""
     doubts: tuple[str, ...] = field(default=())
     """Reasons to distrust a law that is designed on this model."""
 
@@ -249,6 +251,7 @@ def _on_rig(
         ranges=tuple(ranges),
         rates=tuple(rates),
         sha256=facts["sha256"],
+        rig=rig,
         doubts=tuple(doubts),
     )
     if not design.is_stable:

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
@@ -15,7 +16,7 @@ from armrig_core.access.daemon_lock import living_daemon
 from armrig_core.access.endpoint import network_address
 from armrig_core.commands import commands
 from armrig_core.errors import InputError, MalformedReplyError
-from armrig_core.process.printable import plural
+from armrig_core.process.printable import plural, printable
 from armrig_core.process.standstill import Standstill, boot_ns
 from armrig_core.rig.calibration_file import raw_samples, read_calibration
 from armrig_core.rig.volts import U_MAX_V
@@ -682,8 +683,8 @@ class Rig:
         who = by or self._owner or this_user()
         try:
             reply = self._ask(commands.StopRequest(by=who), commands.Done)
-        except RefusedError:
-            # A name must not prevent a stop, for example if the command is too long.
+        except (RefusedError, InputError):
+            # A name must not prevent a stop, for example if it is too long or no Unicode.
             reply = self._ask(commands.StopRequest(), commands.Done)
         if not reply.done:
             raise no_daemon(
@@ -915,7 +916,7 @@ class Rig:
     def _query(self, request: commands.DaemonRequest) -> tuple[str, bytes]:
         """Return the key and the payload of a command."""
         key = topics.command_key(self.rig, request.name, self._name)
-        payload = msgspec.json.encode(request)
+        payload = _encode(request)
         if self._name and len(payload) > commands.MOST_REMOTE_BYTES:
             raise RigError(
                 f"the command {request.name} has {len(payload)} B; over a network at most "
@@ -938,6 +939,23 @@ class Rig:
         if self._name:
             raise not_permitted(self.rig, self.endpoint, self._name, name)
         raise no_reply(self.rig, self.endpoint)
+
+
+def _encode(request: commands.DaemonRequest) -> bytes:
+    """Return a command as JSON; refuse a number that JSON has not, and a text that is no Unicode.
+
+    msgspec encodes NaN and inf as null, which means the default.
+    """
+    for name in request.__struct_fields__:
+        value = getattr(request, name)
+        if isinstance(value, float) and not isfinite(value):
+            raise InputError(f"{name}={value!r} must be a finite number")
+    try:
+        return msgspec.json.encode(request)
+    except UnicodeEncodeError as err:
+        raise InputError(
+            f"{request.name}: the text '{printable(str(err.object))}' is no Unicode"
+        ) from err
 
 
 class _Replies:

@@ -94,9 +94,9 @@ class RunEndedError(RigError):
 
 
 def this_user() -> str:
-    """Return the login name of this user; "" if the name is unknown."""
+    """Return the login name of this user, with ? for bytes that are no text; "" if unknown."""
     try:
-        return getpass.getuser()
+        return getpass.getuser().encode(errors="replace").decode()
     except (OSError, KeyError):  # KeyError before Python 3.13
         return ""
 

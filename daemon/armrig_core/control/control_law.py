@@ -23,7 +23,7 @@ import msgspec
 from msgspec import Meta
 
 from armrig_core.control.evaluation import Program
-from armrig_core.control.monitor import MonitorProgram
+from armrig_core.control.monitor import DEVIATIONS, RANGE_SHARE, MonitorProgram
 from armrig_core.control.sums import Row, Rows
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
@@ -336,6 +336,23 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                     f"r[{k}] = {r:g} {self.reference.unit}: the law allows {low:g} to {high:g}; "
                     "change this value, or low and high of the law's reference"
                 )
+
+    def monitor_doubt(self, rig: Description) -> str:
+        """Return why the law's monitor would see no stuck sensor on a rig; "" if it would.
+
+        The innovation gate of an output must be at most a quarter of what its sensor reads.
+        """
+        if self.monitor is None:
+            return "the law has no monitor, so a stuck sensor drives the rig to full input"
+        for output, deviation in zip(self.outputs, self.monitor.deviations, strict=True):
+            low, high = rig.outputs[output.name].read_range
+            if DEVIATIONS * deviation > RANGE_SHARE * (high - low):
+                return (
+                    f"the monitor of {output.name} trips beyond {DEVIATIONS * deviation:.3g} "
+                    f"{output.unit}, and its sensor reads {high - low:.3g} {output.unit} in all, "
+                    "so a stuck sensor drives the rig to full input"
+                )
+        return ""
 
     def check_rig(self, rig: Description, Ts_us: int, u_min_v: float, u_max_v: float) -> None:
         """Refuse a law of another rig, another sampling time or wider limits.

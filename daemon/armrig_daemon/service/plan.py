@@ -179,11 +179,10 @@ def make_control_plan(
         return plan._replace(law=None)
     law.check_rig(description, round(Ts * 1e6), limits.u_min_v, limits.u_max_v)
     law.check_reference(reference.tolist())
-    if law.monitor is None and not request.unmonitored:
+    if (doubt := law.monitor_doubt(description)) and not request.unmonitored:
         raise InputError(
-            "the law has no monitor, so a stuck sensor drives the rig to full input: design the "
-            "law by `armrig design`, or give model= to armrig.control.control_law; "
-            "unmonitored=True (--unmonitored) allows this law"
+            f"{doubt}: design the law by `armrig design`, or give model= to "
+            "armrig.control.control_law; unmonitored=True (--unmonitored) allows this law"
         )
     rehearsal = config.control_rehearsal(
         law, reference, description, start_rad, unstable=request.unstable

@@ -168,6 +168,31 @@ def test_a_stop_without_a_name_is_sent_to_an_older_daemon(daemon: FakeDaemon, ri
     assert [r.by for r in daemon.asked if isinstance(r, commands.StopRequest)] == [""]
 
 
+def test_a_name_that_is_no_unicode_does_not_prevent_a_stop(
+    daemon: FakeDaemon, rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LOGNAME", b"jos\xe9".decode(errors="surrogateescape"))
+    rig.stop()
+    rig.stop("\ud800")
+
+    assert [r.by for r in daemon.asked if isinstance(r, commands.StopRequest)] == ["jos?", ""]
+    with pytest.raises(InputError, match=r"arm: the text '.*' is no Unicode"):
+        rig.arm("\ud800")
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_a_number_that_is_not_finite_is_refused_and_not_the_default(
+    daemon: FakeDaemon, rig: Rig, number: float
+) -> None:
+    """JSON has no NaN: it would mean a run without a dead-man, or the default Ts."""
+    with pytest.raises(InputError, match=r"Ts.*must be"):
+        rig.arm("me", Ts=number)
+    rig.arm("me")
+    with pytest.raises(InputError, match=r"dead_man=.* must be a finite number"):
+        rig.run([1.0], dead_man=number)
+    assert not [r for r in daemon.asked if isinstance(r, commands.RunRequest)]
+
+
 @pytest.mark.parametrize("answer", [{}, {"stopped": True}, {"done": False}, [], "done"])
 def test_an_unconfirmed_stop_raises_an_error(daemon: FakeDaemon, rig: Rig, answer: Any) -> None:
     daemon._carry_out = lambda _: answer
