@@ -269,3 +269,12 @@ def test_a_column_without_a_name_is_named_by_its_number_in_the_file(
     for u, y in (("1", "2"), ("column_2", "column_3")):
         assert main([*command, "--input", u, "--signal", y]) == 0
         assert "column_2 to column_3" in capsys.readouterr().out
+
+
+def test_an_import_without_an_outcome_is_reported_as_damaged(
+    lamp: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lamp.write_bytes(lamp.read_bytes().replace(b"armrig.outcome", b"armrig.outc0me"))
+
+    assert main(["report", str(lamp), "-o", "lamp.pdf"]) == 1
+    assert "internal error" not in capsys.readouterr().err

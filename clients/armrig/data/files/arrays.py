@@ -71,6 +71,9 @@ class _NamedArrays:
             elif name.rpartition(".")[2].casefold() == "ts" and array.dtype.kind != "M":
                 is_time = array.dtype.kind == "m"
                 Ts.add(float((array / np.timedelta64(1, "s") if is_time else array).item()))
+        if wrong := [x for x in Ts if not 1e-12 <= x <= 1e12]:  # NaN, too
+            self.refused["Ts"] = f"is {wrong[0]:g}, which is no sampling time in s"
+            Ts.clear()
         if len(Ts) > 1:
             self.refused["Ts"] = f"has several values: {', '.join(f'{x:g}' for x in sorted(Ts))}"
         return Table(

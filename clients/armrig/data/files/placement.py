@@ -134,7 +134,8 @@ def _grid_of_rows(table: Table, taken: Collection[int], N: int, how: Reading) ->
             return replace(unit_grid(N, Ts), notes=[Step(text, DOUBT)])
     if Ts is not None and not how.resample:
         return unit_grid(N, Ts)
-    msg = "the sampling time is not known: give it in s (--Ts)"
+    of_file = f" (Ts {table.refused['Ts']})" if "Ts" in table.refused else ""
+    msg = f"the sampling time is not known{of_file}: give it in s (--Ts)"
     if len(table.columns) > len(taken):
         msg += f", or the column of times: {remedy(table, 'time')}"
     raise ReadingError(msg, "--time NAME")

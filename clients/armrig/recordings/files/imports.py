@@ -74,6 +74,8 @@ def recording_of(path: Path, name: str, data: ImportedData) -> Recording:
         text=b"",
     )
     metadata = read_metadata(path)
+    if OUTCOME not in metadata:
+        raise FileError(f"{path}: is damaged (it has no outcome); import the original file again")
     present = np.zeros(data.size, np.bool_)
     present[data.at] = True
     channels = {rig_name(x): Channel(columns[x], np.isfinite(columns[x])) for x in outputs}

@@ -426,3 +426,11 @@ def test_zeros_after_the_last_row_are_left_out(tmp_path: Path) -> None:
     data = load_data(path)
 
     assert (data.N, data.history[0]) == (30, "left out 512 zero bytes at the end")
+
+
+@pytest.mark.parametrize("Ts", [np.nan, np.inf, -0.01, 0.0, 1e-320, 1e300])
+def test_a_number_that_is_no_sampling_time_is_refused(tmp_path: Path, Ts: float) -> None:
+    message = rf"not known \(Ts is {Ts:g}, which is no sampling time in s\): give it in s \(--Ts\)"
+
+    with pytest.raises(FileError, match=message.replace("+", r"\+")):
+        load_data(npz(tmp_path, u=U, y=Y, Ts=Ts))

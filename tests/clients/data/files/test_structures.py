@@ -134,7 +134,7 @@ def test_several_outputs_of_an_iddata_have_their_units(tmp_path: Path) -> None:
     ("values", "said"),
     [
         (of_get(TimeUnit="fortnights"), "TimeUnit is 'fortnights', allowed are nanoseconds to"),
-        (of_get() | {"x": {"Ts": 2.0}}, "the sampling time is not known: give it in s"),
+        (of_get() | {"x": {"Ts": 2.0}}, "not known .Ts has several values: 2, 30.: give it"),
     ],
     ids=["unit", "two"],
 )
