@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.data.files.imported_file import ImportedData, read_imported, write_imported
+from armrig.recordings.files import imports
 from armrig.recordings.files.imports import load_import, name_of_import
+from armrig_core.recording_file.manifest import OUTCOME
 from msgspec.structs import replace
 
 N = 400
@@ -272,9 +274,14 @@ def test_a_column_without_a_name_is_named_by_its_number_in_the_file(
 
 
 def test_an_import_without_an_outcome_is_reported_as_damaged(
-    lamp: Path, capsys: pytest.CaptureFixture[str]
+    lamp: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lamp.write_bytes(lamp.read_bytes().replace(b"armrig.outcome", b"armrig.outc0me"))
+    whole = imports.read_metadata
+    monkeypatch.setattr(
+        imports,
+        "read_metadata",
+        lambda path: {name: x for name, x in whole(path).items() if name != OUTCOME},
+    )
 
     assert main(["report", str(lamp), "-o", "lamp.pdf"]) == 1
-    assert "internal error" not in capsys.readouterr().err
+    assert "is damaged (it has no outcome)" in capsys.readouterr().err
