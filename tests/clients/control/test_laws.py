@@ -11,6 +11,7 @@ import pytest
 from armrig.control.loop import LawMatrices, close_loop, simulate
 from armrig.control.plant import design_model
 from armrig_core.control.control_law import ControlLaw
+from armrig_core.errors import InputError
 from armrig_core.rig.description import builtin
 
 from tests.clients.control import plants
@@ -215,3 +216,26 @@ def test_anti_windup_follows_the_voltage_that_was_applied() -> None:
         x = A @ x + B @ np.array([2.0, min(v, 5.0), 0.0])
 
     assert 5.0 < v < 20.0
+
+
+@pytest.mark.parametrize("unit", ["mV", "", "V"])
+def test_an_input_of_another_unit_is_refused_for_a_rig(unit: str) -> None:
+    """A law of a model in mV would have a wrong gain; volts are those of the pin."""
+    heater = builtin("tclab")
+    name, output = next(iter(heater.outputs.items()))
+    model = armrig.Fit.of_channel(
+        B=[0, 0.1],
+        F=[1, -0.9],
+        nk=1,
+        Ts=1.0,
+        input=heater.input.name,
+        input_unit=unit,
+        output=name,
+        unit=output.unit,
+    )
+
+    if unit == "V":
+        assert armrig.control.pid(model, rig=heater).outputs[0].name == name
+    else:
+        with pytest.raises(InputError, match=f"input is in {unit or 'no unit'}, and that of the"):
+            armrig.control.pid(model, rig=heater)
