@@ -178,7 +178,8 @@ def _of_numbers(table: Table, i: int, named: str) -> Times:
             f"{named} are in {shorten(column.unit)}, known units are {_KNOWN}; give Ts in s (--Ts)"
         )
     unit, has_unit = _SECONDS.get(suffix), bool(suffix)
-    is_name = has_unit and suffix in (c.name.casefold() for c in table.columns)
+    others = (c.name.casefold() for j, c in enumerate(table.columns) if j != i)
+    is_name = has_unit and suffix in others
     if is_name and not column.unit and suffix != "s":
         notes.append(Step(f"{named} are read in {suffix}, and not as the times of {suffix}", DOUBT))
     low, middle = map(float, np.quantile(t, (0.1, 0.5)) if t.size else (0.0, 0.0))
@@ -195,7 +196,8 @@ def _of_numbers(table: Table, i: int, named: str) -> Times:
                     f"{table.place(k)}: {named} go from {t[k - 1]:.16g} to {t[k]:.16g}, as digits "
                     "of a clock: write them as 09:59:59, or give Ts in s (--Ts)"
                 )
-            unit, doubts = _without_unit(t, usual, named, column.name)
+            is_known = not column.name or i in time_columns(table)
+            unit, doubts = _without_unit(t, usual, named, column.name, is_known=is_known)
             notes += doubts
     if _EPOCH_S[0] <= middle * unit < _EPOCH_S[1]:
         clock = _EPOCH
@@ -224,10 +226,18 @@ def _of_numbers(table: Table, i: int, named: str) -> Times:
     )
 
 
-def _without_unit(t: Vector, usual: float, named: str, name: str) -> tuple[float, list[str]]:
-    """Return the unit, in s, of times whose header has none, and a doubt if it may be another."""
+def _without_unit(
+    t: Vector, usual: float, named: str, name: str, *, is_known: bool
+) -> tuple[float, list[str]]:
+    """Return the unit, in s, of times whose header has none, and a doubt if it may be another.
+
+    A name that is not a known name of times may contain another unit, such as Stunden.
+    """
     if usual < _LONG_S:
-        return 1.0, [Step(f"{named} have no unit: read as s", DOUBT)] * (usual >= _DOUBTFUL_S)
+        text = f"{named} have no unit: read as s"
+        if not is_known:
+            text += f"; if they are not, rename the column to {name}_ms or {name}_min"
+        return 1.0, [Step(text, DOUBT)] * (usual >= _DOUBTFUL_S or not is_known)
     # No file covers a year from the start of its clock.
     sizes = {"s": 1.0, "ms": 1e-3 * (usual < _MOST_MS), "us": 1e-6, "ns": 1e-9}
     longest = float(np.abs(t).max())

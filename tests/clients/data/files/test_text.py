@@ -488,3 +488,21 @@ def test_facts_above_rows_with_missing_values_are_no_rows(tmp_path: Path) -> Non
     data = load_data(written(tmp_path, f"{facts}u,y\n{rows}"), Ts=1, hold_input=True)
 
     assert (data.y[0], data.y[-1]) == (100.0, 139.0)
+
+
+@pytest.mark.parametrize("name", ["Minuten", "tmin", "Stunden"])
+def test_an_unknown_name_of_times_is_doubted(tmp_path: Path, name: str) -> None:
+    rows = "".join(f"{k / 1200:.8f},{k % 3},{k % 5}\n" for k in range(40))
+
+    data = load_data(written(tmp_path, f"{name},u,y\n{rows}"), time=name)
+
+    assert f"the times in column {name} have no unit: read as s; if they are not" in data.history[0]
+    assert codes_of(data.history)[0] == DOUBT
+
+
+def test_a_unit_that_is_the_whole_name_of_times_is_not_doubted(tmp_path: Path) -> None:
+    rows = "".join(f"{5 * k},{k % 3},{k % 5}\n" for k in range(40))
+
+    data = load_data(written(tmp_path, f"millis,u,y\n{rows}"))
+
+    assert (data.Ts, DOUBT in codes_of(data.history)) == (0.005, False)
