@@ -54,6 +54,7 @@ from armrig.cli.recorded_data import (
     say_channel,
     source_facts,
 )
+from armrig.data.step import laws_of
 from armrig.estimation.request import Request
 from armrig.models.structure_table import STRUCTURES, users
 from armrig.numerics.quantities import join_names, plural
@@ -140,7 +141,7 @@ def sampling(
     def say_after() -> None:
         if signals.read and (again := step_again(signals.read[0])):
             say_next("collect step again", signals.origin, again=again)
-        elif from_recording(data):
+        elif from_recording(data) and not laws_of(data.history):
             say_next("collect pair", signals.origin, **_experiment(choice))
         else:
             say_next("hints", file=command_line_name(file), given=signals.options())

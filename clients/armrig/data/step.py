@@ -84,6 +84,13 @@ def loop_notes(history: Sequence[str], line: str = "armrig.bj(data, …)") -> tu
     return (Step(f"{text}use BJ or ARMAX, {line}, or armrig.two_stage (--two-stage)", BIASED),)
 
 
+def in_loop(history: Sequence[str], what: str) -> tuple[str, ...]:
+    """Return the note that feedback biases `what`; () for data without a law."""
+    if not (laws := laws_of(history)):
+        return ()
+    return (Step(f"controlled by {laws_text(laws)}: the loop biases {what}", BIASED),)
+
+
 def with_notes(lines: Iterable[str], notes: Iterable[str], mark: str) -> str:
     """Return the lines as text, then the notes; a note with the code BIASED is the first line."""
     notes = [*notes]

@@ -11,6 +11,7 @@ import pytest
 from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
+from armrig.data.step import law_step
 from armrig.physics.grey_box.estimate import minimise, worse_with_friction
 from armrig.physics.grey_box.physical_models import Friction, Physics, free_names
 from armrig.physics.systems import ArmParameters, arm, chassis
@@ -419,3 +420,14 @@ def test_errors_of_another_output_are_refused() -> None:
 
     with pytest.raises(ValueError, match="outputs are theta_1 and the data have alpha; give data"):
         fit.errors(data.dataset("alpha"))
+
+
+def test_data_under_a_law_are_named_first_as_biased() -> None:
+    data = armrig.example_recording().dataset("theta_1")
+    data = data.replaced(step=law_step("ab" * 32))
+
+    fit, sampling = armrig.greybox(data, armrig.physics.arm), armrig.sampling_time(data)
+
+    assert fit.explain().startswith("controlled by the law abababababab: the loop biases an estim")
+    assert str(sampling).startswith("controlled by the law abababababab: the loop biases the spec")
+    assert sampling.brief().splitlines()[0] == str(sampling).splitlines()[0]

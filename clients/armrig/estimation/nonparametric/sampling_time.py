@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
+from armrig.data.step import BIASED, codes_of, in_loop
 from armrig.data.treatment import difference
 from armrig.estimation.nonparametric.impulse import impulse_response, long_enough
 from armrig.estimation.nonparametric.spectra import coherent_range, fill_outputs
@@ -103,15 +104,25 @@ class SamplingTime:
 
     def brief(self) -> str:
         """Return the recommendation, the result of each rule, and the doubts, as text."""
-        return "\n".join([*repr(self).splitlines()[:4], *(f"  {note}" for note in self.doubts)])
+        return self._text(self._rules()[:4], self.doubts)
 
     def __repr__(self) -> str:
         """Return the recommendation with its reasons as text."""
+        return self._text(self._rules(), self.notes)
+
+    @staticmethod
+    def _text(lines: Sequence[str], notes: Sequence[str]) -> str:
+        """Return the lines, then the notes; a note that the data are biased is the first line."""
+        biased = [n for n, code in zip(notes, codes_of(notes), strict=True) if code == BIASED]
+        last = [f"  {note}" for note in notes if note not in biased]
+        return "\n".join([*biased, *lines, *last])
+
+    def _rules(self) -> list[str]:
         beyond = (
             "an unknown share" if np.isnan(self.beyond) else f"{digits(100 * self.beyond, 2)} %"
         )
         how = "steps" if self.from_step else "regularised impulse response"
-        lines = [
+        return [
             f"sampling time: {times(self.Ts)} recommended (from {self.output} at "
             f"{times(self.recorded_at)}, {how})",
             f"  step:      {self._step_text()}",
@@ -121,7 +132,6 @@ class SamplingTime:
             f"  aliasing:  {digits(100 * self.near_nyquist, 2)} % of the power is above 0.8 of "
             f"Nyquist; {beyond} is above Nyquist at the recommended Ts",
         ]
-        return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
     def _step_text(self) -> str:
         if self.tau < self.recorded_at:
@@ -228,6 +238,7 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     near = _share(omega, power, NYQUIST_SHARE * np.pi / data.Ts)
     rate_of = data.output if integrates else ""
     doubts = (
+        *in_loop(data.history, "the spectrum: record in open loop for a sampling time"),
         *decided.notes,
         *(steps.warnings if steps else ()),
         *_doubts(Ts, data.Ts, last, near, seen=seen, rate_of=rate_of),

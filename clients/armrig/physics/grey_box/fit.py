@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Dataset, Signals
+from armrig.data.step import in_loop
 from armrig.numerics.inference import OutputQuality
 from armrig.numerics.quantities import digits, join_names, plural
 from armrig.physics.grey_box.physical_models import PhysicalModel
@@ -262,7 +263,7 @@ class GreyFit:
         J_1 = 0.0017... ± 2.2e-06 kg m² (one standard deviation, 0.13 %).
         If a fixed parameter is 1 % larger, J_1 changes: J_2 -2.8... %, N +0.9... %, ...
         """
-        parts = []
+        parts: list[str] = [*in_loop(self.history, "an estimate without a noise model")]
         for name in self.names:
             unit = f" {self.physics.parameters[name].unit}".rstrip()
             share = self.relative_std[name]
