@@ -91,7 +91,8 @@ class LoopComparison:
     predicted_u: Matrix
     """Prediction of u, (1 + m, N)."""
     noise: float
-    """Standard deviation of the measured z by its noise; NaN if the law has no monitor."""
+    """Upper bound of the noise of z: the deviation of the innovations in the law's monitor, which
+    also contain the drift that its observer assumes. NaN without a monitor."""
     limited_share: float
     """Share of samples in which the voltage was at a limit."""
     doubts: tuple[str, ...]
@@ -175,7 +176,11 @@ class LoopComparison:
         lines = [
             f"{r.name} deviates from its prediction by {digits(self.deviation, 2)}{unit} rms, "
             f"{digits(share, 2)} % of {digits(self.height, 3)}{unit}"
-            + ("" if np.isnan(self.noise) else f"; its noise is {digits(self.noise, 2)}{unit}")
+            + (
+                ""
+                if np.isnan(self.noise)
+                else f"; its noise is at most {digits(self.noise, 2)}{unit}"
+            )
             + f"; {100 * self.inside:.0f} % of the samples are in the band.",
         ]
         lines += [
