@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from armrig_core.errors import FileError
+from armrig_core.errors import FileError, InputError
 from armrig_core.process.options import CommandGroup, argument, group, option, preset
 from armrig_core.telemetry.channels import INTEGRATING_OUTPUTS
 from msgspec import UNSET, structs
@@ -31,6 +31,7 @@ from armrig.cli.options import Detrend, Json, ModelFile, ModelOrders
 from armrig.cli.printing import (
     estimating,
     fields_of,
+    inform,
     print_result,
     say,
     say_answer,
@@ -324,6 +325,9 @@ def identify(
         results.check_output(
             save, list(filter(None, [file, validate])), "--save", contents, ".json"
         )
+        if save.is_file() and b"armrig control law" in save.read_bytes()[:200]:
+            text = "is a control law, which would be overwritten; give another name"
+            raise InputError(f"--save {save}: {text}")
     from armrig.recordings.usability import doubts_of_estimation
 
     data = signals.of(file)
@@ -358,7 +362,7 @@ def identify(
         taken=taken,
         figures=outcome.figures,
         say_next=outcome.say_next,
-        write=None if save is None else lambda: outcome.fit.save(save),
+        write=None if save is None else partial(_save, outcome.fit, save),
         width=results.WIDTH if outcome.fit.nu == 1 else results.CHANNEL_WIDTH,
         columns=None if outcome.fit.nu == 1 else outcome.fit.nu,
     )
@@ -546,6 +550,14 @@ def _search_models(
             progress=progress,
             **arguments,
         )
+
+
+def _save(fit: Fit, path: Path) -> None:
+    """Write a model, and say whether another file was replaced."""
+    replaced = path.exists()
+    fit.save(path)
+    if replaced:
+        inform(f"replaced: {path}", dim=True)
 
 
 def _validate_fit(fit: Fit, other: Dataset | Signals) -> _Validation:

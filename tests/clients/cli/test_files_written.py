@@ -168,3 +168,20 @@ def test_the_questions_are_text_under_any_file_name(
 
     assert codes == [0, 0]
     assert all(read_answers(Path(name)).reasons == {} for name in names)
+
+
+def test_a_saved_model_replaces_a_model_in_words_and_no_control_law(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rows = "".join(f"{k % 7 // 3},{k % 5}\n" for k in range(80))
+    Path("data.csv").write_text(f"u,y\n{rows}")
+    line = ["identify", "data.csv", "--Ts", "1", "--structure", "arx", "--na", "1", "--nb", "1"]
+
+    assert main([*line, "--save", "model.json"]) == 0
+    assert "replaced" not in capsys.readouterr().err
+    assert main([*line, "--save", "model.json"]) == 0
+    assert "replaced: model.json" in capsys.readouterr().err
+    Path("law.json").write_text('{\n  "format": "armrig control law"}')
+    assert main([*line, "--save", "law.json"]) == 1
+    assert "--save law.json: is a control law, which would be overwritten" in told(capsys)
