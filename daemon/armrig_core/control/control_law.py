@@ -341,6 +341,16 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         """Return why the law's monitor would see no stuck sensor on a rig; "" if it would.
 
         The innovation gate of an output must be at most a quarter of what its sensor reads.
+
+        Examples
+        --------
+        >>> from armrig_core.rig.description import builtin
+        >>> law = ControlLaw(
+        ...     Ts_us=10_000, outputs=(LawOutput(name="alpha", unit="rad"),), A=(), B=(), C=(),
+        ...     D=1.0, x0=(), reference=Reference(name="u", unit="V", low=0.0, high=4.0),
+        ... )
+        >>> law.monitor_doubt(builtin("arm"))
+        'the law has no monitor, so a stuck sensor drives the rig to full input'
         """
         if self.monitor is None:
             return "the law has no monitor, so a stuck sensor drives the rig to full input"

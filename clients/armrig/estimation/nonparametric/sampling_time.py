@@ -84,7 +84,7 @@ class SamplingTime:
     response: Vector
     """Step response divided by its final value; 0 up to the step."""
     gain: float
-    """Reference value for |G|: final value of the step response, or |G| at low frequency."""
+    """Reference value for |G|: final value of the step response, at least |G| at low frequency."""
     omega: Vector
     """Frequencies of `power`, in rad/s."""
     power: Vector
@@ -205,15 +205,15 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     >>> print(found)
     sampling time: 5 ms recommended (from the rate of theta_1 at 10 ms, ...)
       step:      63 % time tau 21... ms, omega_B = 1/tau = 47... rad/s, ...
-      spectrum:  -3 dB first at 10... rad/s, ...
+      spectrum:  -3 dB first at 9.9..., ..., ...
       ...
     """
     decided = step_integration(data, integrator)
     integrates = decided.integrates
-    steps = _analyse_long_steps(data, integrates=integrates)
+    steps, static_gain = _analyse_long_steps(data, integrates=integrates), 0.0
     stepped = steps is not None
     if steps is None:
-        t, response, tau, transient = _from_impulse(data, integrates)
+        t, response, static_gain, tau, transient = _from_impulse(data, integrates)
     else:
         t = np.append(0.0, steps.smooth_t) - steps.dead_time
         response = np.append(0.0, steps.smooth / steps.gain)
@@ -228,7 +228,8 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
         coherent_range(estimate)
     magnitudes = estimate.magnitude[np.isfinite(estimate.G)]
     low = float(np.mean(magnitudes[: max(1, magnitudes.size // 10)]))  # over the lowest frequencies
-    gain = abs(steps.gain) if steps else low
+    # The lowest frequency may be above the bandwidth, and smoothing lowers the magnitude there.
+    gain = abs(steps.gain) if steps else max(low, abs(static_gain))
     first, last = _bandwidth(estimate, gain)
     Ts_step, Ts_spectrum = (2 * np.pi / (SAMPLES_PER_PERIOD * w) for w in (1 / tau, last))
     rules = (Ts_step, Ts_spectrum, transient / MIN_TRANSIENT_SAMPLES)
@@ -298,7 +299,8 @@ def _analyse_long_steps(data: Dataset, *, integrates: bool) -> StepAnalysis | No
     return analysis if analysis.settling <= min(between) * data.Ts else None
 
 
-def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, float, float]:
+def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, float, float, float]:
+    """Return times, step response divided by its gain, the gain, 63 % time and transient."""
     response = long_enough(data, LAGS, integrator=integrates)
     g, _ = response.decaying
     y = np.cumsum(g)
@@ -314,7 +316,7 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
     dead = _dead_time(t, y, linear_crossing(t, y, 0.5), data.Ts)  # not part of any rule
     outside = np.flatnonzero(np.abs(y - 1) > 0.05)
     end = float(t[min(int(outside[-1]) + 1, y.size - 1)])
-    return t - dead, y, crossing - dead, end - dead
+    return t - dead, y, gain, crossing - dead, end - dead
 
 
 def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> float:

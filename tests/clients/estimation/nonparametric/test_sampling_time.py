@@ -158,7 +158,9 @@ def test_a_dead_time_belongs_to_no_rule() -> None:
     prompt = first_order(0.3, 0.03, u, 0.002)
     late = prompt.replaced(y=np.append(np.zeros(8), prompt.y[:-8]), step=None)
 
-    (_, _, *times), (_, _, *delayed) = (_from_impulse(x, integrates=False) for x in (prompt, late))
+    (_, _, _, *times), (_, _, _, *delayed) = (
+        _from_impulse(x, integrates=False) for x in (prompt, late)
+    )
 
     assert times == pytest.approx([0.3, 0.9], rel=0.1)
     assert delayed == pytest.approx(times, rel=0.1)
@@ -314,3 +316,15 @@ def test_a_response_within_one_sample_is_not_read_between_samples() -> None:
     assert found.Ts == 0.01
     assert "63 % time tau below a sample, 50 ms" in repr(found)
     assert any("record at 10 ms and repeat the analysis" in note for note in found.notes)
+
+
+def test_the_bandwidth_of_a_slow_plant_refers_to_its_static_gain() -> None:
+    """The lowest frequency of the spectrum, 0.042 rad/s, is near the bandwidth, 0.05 rad/s."""
+    Ts, tau, ratios = 0.5, 20.0, []
+    for seed in range(5):
+        u, pole = telegraph(1200, Ts / tau, seed=seed), np.exp(-Ts / tau)
+        y = apply_filter(np.array([0, 4 * (1 - pole)]), np.array([1, -pole]), u)
+        y = y + 0.02 * np.random.default_rng(seed).standard_normal(y.size)
+        ratios.append(sampling_time(Dataset(u=u, y=y, Ts=Ts)).omega_spectrum * tau)
+
+    assert 0.85 < np.median(ratios) < 1.25
