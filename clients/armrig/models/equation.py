@@ -175,7 +175,7 @@ def whiteness_sentence(fit: Fit, std: str = "std", robust: str = "std_robust") -
     coloured = [name for name, q in zip(fit.outputs, fit.quality, strict=True) if q.white.coloured]
     if fit.ny == 1:
         row = row_of(fit.structure)
-        subject = f"{row.title}'s prewhitened residuals" if row.free_noise else "residuals"
+        subject = f"{row.title}'s prewhitened residuals" if row.prewhitened else "residuals"
         sentence = f"{subject} {whites[0]}"
     else:
         subject = f" of {join_names(coloured)}" if coloured else ""

@@ -57,6 +57,8 @@ class RegisteredStructure:
     """True if the model is in continuous time, without nk."""
     free_noise: bool = False
     """True if the noise may have any colour, so that the equation has v in place of e."""
+    prewhitened: bool = False
+    """True if the whiteness of the prewhitened residuals is tested."""
     equation_error: bool = False
     """True if e is the error of the equation of all outputs, so that noise of an output biases the
     estimate."""
@@ -117,13 +119,14 @@ _STATES = {"order": None}
 _SEARCHED = ("integrator", "offset", "initial", "stable", "starts", "shared")
 _OF_N4SID = ("integrator", "weights", "horizon", "focus", "stable", "replicates", "seed")
 _STABLE = ("stable",)
+_OF_IV4 = {"several": False, "free_noise": True, "prewhitened": True}
 _row = RegisteredStructure
 _ROWS = (
     _row("arx", "A y = B u + e", _ARX, _STABLE, closed_loop=True, equation_error=True),
     _row("armax", "A y = B u + C e", _ARX | {"nc": _N}, _SEARCHED, closed_loop=True),
     _row("oe", "y = B/F u + e", _OE, _SEARCHED, searched_of_several=True, second_stage=True),
     _row("bj", "y = B/F u + C/D e", _BJ, _SEARCHED, closed_loop=True),
-    _row("iv4", "A y = B u + v, v of any colour", _ARX, _STABLE, several=False, free_noise=True),
+    _row("iv4", "A y = B u + v, v of any colour", _ARX, _STABLE, **_OF_IV4),
     _row("n4sid", "a state space", _STATES, _OF_N4SID, searched_of_several=True, projection=True),
     # IV4 and BJ cover this noise; ARARX would lengthen a search by a quarter.
     _row("ararx", "A y = B u + 1/D e", _ARARX, _SEARCHED, closed_loop=True, searched=False),

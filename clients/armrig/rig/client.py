@@ -422,11 +422,11 @@ class Rig:
         Examples
         --------
         >>> with armrig.Rig("1") as rig:
-        ...     loop = rig.control_loop(Ts=0.02, seconds=0.5, reference=2.0)
+        ...     loop = rig.control_loop(Ts=0.1, seconds=2.0, reference=2.0)
         ...     for y in loop:
         ...         y.set(y.r)
         >>> armrig.load(loop.recording).N
-        25
+        20
         """
         import numpy as np
 
@@ -825,10 +825,10 @@ class Rig:
         >>> import time
         >>> with armrig.Rig("1") as rig:
         ...     with rig.arrivals("sample") as new_samples:
-        ...         time.sleep(0.5)
-        ...         samples = new_samples()
-        >>> len(samples) > 0
-        True
+        ...         while not (samples := new_samples()):
+        ...             time.sleep(0.1)
+        >>> samples[0].u_applied_v
+        0.0
         """
         from armrig.rig.telemetry_stream import arrivals
 

@@ -367,7 +367,7 @@ def test_output_weights_choose_the_output_that_a_simple_model_fits() -> None:
         np.linalg.slogdet(weighted.noise_covariance)[1]
         > (np.linalg.slogdet(by_noise.noise_covariance)[1])
     )
-    assert weighted.starts[0].loss == pytest.approx(
+    assert weighted.search.starts[0].loss == pytest.approx(
         (weighted.quality[0].loss + 100 * weighted.quality[1].loss) / 2
     )
 
@@ -454,8 +454,8 @@ def test_a_search_for_a_worse_minimum_ends_early() -> None:
     alone = _improve(p, begun, _Criterion(given=None), np.inf)
     given_up = _improve(p, begun, _Criterion(given=None), alone.criterion - 50)
 
-    assert alone.converged
-    assert not given_up.converged
+    assert alone.search.converged
+    assert not given_up.search.converged
     assert given_up.iterations < alone.iterations / 2
 
 
@@ -494,7 +494,7 @@ def test_missing_outputs_are_estimated_until_they_settle(seed: int) -> None:
 
     # Interpolated values alone move the real pole by 0.05.
     assert np.abs(found - expected).max() < 0.003
-    assert gaps.converged
+    assert gaps.search.converged
     assert not any(f.about == "search" for f in gaps.findings)
 
 
