@@ -454,8 +454,8 @@ def test_a_search_for_a_worse_minimum_ends_early() -> None:
     alone = _improve(p, begun, _Criterion(given=None), np.inf)
     given_up = _improve(p, begun, _Criterion(given=None), alone.criterion - 50)
 
-    assert alone.search.converged
-    assert not given_up.search.converged
+    assert alone.converged
+    assert not given_up.converged
     assert given_up.iterations < alone.iterations / 2
 
 
