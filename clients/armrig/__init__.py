@@ -21,7 +21,7 @@ def __getattr__(name: str) -> Any:
     if name in __all__:
         return public(__name__, name)
     if present := _present_name(name):
-        return _renamed(name, present)
+        return _get_by_earlier_name(name, present)
     raise AttributeError(_no_attribute(name), name=name)
 
 
@@ -44,7 +44,7 @@ def _present_name(name: str) -> str:
     return _EARLIER_NAMES.get(name, "")
 
 
-def _renamed(name: str, present: str) -> Any:
+def _get_by_earlier_name(name: str, present: str) -> Any:
     """Return the object that a name of an earlier release means, and warn."""
     import warnings
 

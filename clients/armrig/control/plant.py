@@ -293,11 +293,11 @@ def _check_rig(facts: dict[str, Any], rig: Description) -> None:
             f"the model's input is {facts['input']}, and that of the rig {rig.rig.name} is "
             f"{rig.input.name}: this is a model of another rig"
         )
-    unit, own = facts["input_unit"], rig.input.unit
-    if unit not in ("V", own) and not (unit == "" and own == "V"):
+    unit, rig_unit = facts["input_unit"], rig.input.unit
+    if unit not in ("V", rig_unit) and not (unit == "" and rig_unit == "V"):
         raise InputError(
             f"the model's input is in {unit or 'no unit'}, and that of the rig {rig.rig.name} in "
-            f"{own}: a law would have another gain; estimate the model from data in {own}"
+            f"{rig_unit}: a law would have another gain; estimate the model from data in {rig_unit}"
         )
     for name, unit in zip(facts["outputs"], facts["units"], strict=True):
         if name not in rig.outputs or unit not in ("", rig.outputs[name].unit):

@@ -89,10 +89,10 @@ def takes_data(
 ) -> Callable[Concatenate[Dataset | HasDataset | Signals, P], R]:
     """Decorate a function of data of any shape, so that it also accepts a recording."""
 
-    def converted(data: Any) -> Any:
+    def convert(data: Any) -> Any:
         return data if isinstance(data, Signals) else as_dataset(data)
 
-    return _taking(f, converted, _ANY_DATA)
+    return _taking(f, convert, _ANY_DATA)
 
 
 def takes_signals(
@@ -112,14 +112,12 @@ def treats_signals(f: Callable[Concatenate[Signals, P], Signals]) -> Treatment[P
         argument = args[0] if args else options["data"]
         return signals if isinstance(argument, Signals) else signals.dataset()
 
-    shown = signature(treated).replace(return_annotation="Dataset | Signals")
-    treating.__signature__ = shown  # type: ignore[attr-defined]
+    treatment_signature = signature(treated).replace(return_annotation="Dataset | Signals")
+    treating.__signature__ = treatment_signature  # type: ignore[attr-defined]
     return cast("Treatment[P]", treating)
 
 
-def _taking(
-    f: Callable[..., R], converted: Callable[[Any], Any], data_type: str
-) -> Callable[..., R]:
+def _taking(f: Callable[..., R], convert: Callable[[Any], Any], data_type: str) -> Callable[..., R]:
     """Return f with checks of its arguments, and with one thread of linear algebra.
 
     The first argument is converted. Its type in the signature is `data_type`.
@@ -134,7 +132,7 @@ def _taking(
     @wraps(f)
     def taking(*args: Any, **options: Any) -> R:
         if len(args) > positional and by_name and not variadic:
-            converted(args[0])
+            convert(args[0])
             raise InputTypeError(_by_name(f.__name__, first, by_name, args[positional:]))
         if not args and first in options:
             args = (options.pop(first),)
@@ -142,7 +140,7 @@ def _taking(
             _check_order(f.__name__, first, parameters, args)
         check_call(f.__name__, called, args, options)
         with _one_thread():
-            return f(*(converted(a) for a in args[:1]), *args[1:], **options)
+            return f(*(convert(a) for a in args[:1]), *args[1:], **options)
 
     parameters = [parameters[0].replace(annotation=data_type), *parameters[1:]]
     taking.__signature__ = called.replace(parameters=parameters)  # type: ignore[attr-defined]

@@ -72,23 +72,23 @@ def laws_text(laws: Iterable[str]) -> str:
     return " and ".join(names)
 
 
-def loop_notes(history: Sequence[str], line: str = "armrig.bj(data, …)") -> tuple[str, ...]:
-    """Return the note on the bias of an estimate without a noise model, from data under a law.
+def in_loop(history: Sequence[str], bias: str) -> tuple[str, ...]:
+    """Return the note that data are from a loop, with the sentence `bias` on its effect.
 
-    `line` is an unbiased estimate to type. Without a law, or in the second of two stages, there is
-    no note.
+    Without a law, or in the second of two stages, there is no note.
     """
     if not (laws := laws_of(history)) or TWO_STAGE in codes_of(history):
         return ()
-    text = f"controlled by {laws_text(laws)}: coloured noise in the loop biases this estimate; "
-    return (Step(f"{text}use BJ or ARMAX, {line}, or armrig.two_stage (--two-stage)", BIASED),)
+    return (Step(f"controlled by {laws_text(laws)}: {bias}", BIASED),)
 
 
-def in_loop(history: Sequence[str], what: str) -> tuple[str, ...]:
-    """Return the note that feedback biases `what`; () for data without a law."""
-    if not (laws := laws_of(history)):
-        return ()
-    return (Step(f"controlled by {laws_text(laws)}: the loop biases {what}", BIASED),)
+def loop_notes(history: Sequence[str], line: str = "armrig.bj(data, …)") -> tuple[str, ...]:
+    """Return the note on the bias of an estimate without a noise model, from data under a law.
+
+    `line` is an unbiased estimate to type.
+    """
+    bias = "coloured noise in the loop biases this estimate; use BJ or ARMAX, "
+    return in_loop(history, f"{bias}{line}, or armrig.two_stage (--two-stage)")
 
 
 def with_notes(lines: Iterable[str], notes: Iterable[str], mark: str) -> str:

@@ -290,8 +290,8 @@ def study_of_fits(
     if isinstance(estimation, Signals):
         tests = {name: residuals(fit, validation) for name, fit in models.items()}
         fits = [
-            {name: replace(fit[own.output], digest=own.digest) for name, fit in models.items()}
-            for own in each[0]
+            {name: replace(fit[data.output], digest=data.digest) for name, fit in models.items()}
+            for data in each[0]
         ]
     shared: dict[str, Any] = {"recordings": tuple(recordings), "halves": halves, "doubt": doubt}
     excited = [r for r in recordings if r.manifest.kind not in NO_MODEL] or recordings

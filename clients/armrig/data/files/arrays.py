@@ -14,6 +14,7 @@ from armrig_core.process.imports import load_extra
 
 from armrig.data.files.mat_variables import EMPTY, StructureArray, Unread, Value, variables
 from armrig.data.files.table import (
+    MIN_TS,
     NO_NUMBERS,
     Column,
     Table,
@@ -71,7 +72,7 @@ class _NamedArrays:
             elif name.rpartition(".")[2].casefold() == "ts" and array.dtype.kind != "M":
                 is_time = array.dtype.kind == "m"
                 Ts.add(float((array / np.timedelta64(1, "s") if is_time else array).item()))
-        if wrong := [x for x in Ts if not 1e-12 <= x <= 1e12]:  # NaN, too
+        if wrong := [x for x in Ts if not MIN_TS <= x <= 1 / MIN_TS]:  # NaN, too
             self.refused["Ts"] = f"is {wrong[0]:g}, which is no sampling time in s"
             Ts.clear()
         if len(Ts) > 1:

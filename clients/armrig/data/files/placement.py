@@ -14,14 +14,13 @@ from armrig.data.files.column_faults import repetition_notes, stuck_notes, treat
 from armrig.data.files.imported_file import GridTable
 from armrig.data.files.sampling_grid import Grid, grid_of, unit_grid
 from armrig.data.files.stamps import time_columns, times_of
-from armrig.data.files.table import ReadingError, Table, Vector, choose, remedy, shorten
+from armrig.data.files.table import MIN_TS, ReadingError, Table, Vector, choose, remedy, shorten
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask, stretches
 
 _MIN_KNOWN_INPUTS = 0.5  # share of the rows
 _MAX_HELD = 3  # rows that a file leaves out in which u is held, if it is the same on both sides
-_MIN_TS = 1e-12  # in s
 
 
 class Reading(NamedTuple):
@@ -113,8 +112,8 @@ def _is_short(x: Vector, gap: slice, put_in: Mask) -> bool:
 def _grid_of_rows(table: Table, taken: Collection[int], N: int, how: Reading) -> Grid:
     """Return the grid of the rows, from a column of times, the Ts of the file, or the given Ts."""
     Ts = how.Ts
-    if Ts is not None and not _MIN_TS <= Ts <= 1 / _MIN_TS:
-        allowed = f"and from {_MIN_TS:g} to {1 / _MIN_TS:g}" if 0 < Ts < np.inf else "and > 0"
+    if Ts is not None and not MIN_TS <= Ts <= 1 / MIN_TS:
+        allowed = f"and from {MIN_TS:g} to {1 / MIN_TS:g}" if 0 < Ts < np.inf else "and > 0"
         raise FileError(f"Ts={Ts} must be finite {allowed}, in s")
     if isinstance(table, GridTable):
         return _grid_of_import(table, how)

@@ -17,6 +17,7 @@ NO_NUMBERS = "contains no numbers; save it as a vector of real numbers"
 """Reason why a variable is not a column, and the remedy."""
 _MOST_BYTES = 1 << 28  # of an unpacked file, with at least 8 B for each number
 _MIN_LIMIT_BYTES = 1 << 26
+MIN_TS = 1e-12  # in s; 1/MIN_TS is the longest
 _MAX_RATIO = 100  # packing shrinks measured data by a factor of 5 to 20, zeros by 1000
 _MAX_LISTED_COLUMNS = 12
 _MAX_SHOWN_CHARACTERS = 40  # of a text of the file that a message quotes

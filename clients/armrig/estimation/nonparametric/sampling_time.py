@@ -239,7 +239,9 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     near = _share(omega, power, NYQUIST_SHARE * np.pi / data.Ts)
     rate_of = data.output if integrates else ""
     doubts = (
-        *in_loop(data.history, "the spectrum: record in open loop for a sampling time"),
+        *in_loop(
+            data.history, "the loop biases the spectrum: record in open loop for a sampling time"
+        ),
         *decided.notes,
         *(steps.warnings if steps else ()),
         *_doubts(Ts, data.Ts, last, near, seen=seen, rate_of=rate_of),

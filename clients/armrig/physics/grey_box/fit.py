@@ -263,7 +263,9 @@ class GreyFit:
         J_1 = 0.0017... ± 2.2e-06 kg m² (one standard deviation, 0.13 %).
         If a fixed parameter is 1 % larger, J_1 changes: J_2 -2.8... %, N +0.9... %, ...
         """
-        parts: list[str] = [*in_loop(self.history, "an estimate without a noise model")]
+        parts: list[str] = [
+            *in_loop(self.history, "the loop biases an estimate without a noise model")
+        ]
         for name in self.names:
             unit = f" {self.physics.parameters[name].unit}".rstrip()
             share = self.relative_std[name]

@@ -278,8 +278,8 @@ def _orders(R: Vector, most: int, lags: int, N: int, least: float) -> tuple[int,
     A sum of squares below `least` is due to rounding errors. A past output that depends on later
     ones and on the lags of u is not tried, and no earlier one.
     """
-    own = np.diag(_triangle_of(R, [*range(most, most + lags), *range(most)]))[lags:]
-    is_determined = np.abs(own) > _MIN_OWN_ROUNDING * np.sqrt(least)
+    own_norms = np.diag(_triangle_of(R, [*range(most, most + lags), *range(most)]))[lags:]
+    is_determined = np.abs(own_norms) > _MIN_OWN_ROUNDING * np.sqrt(least)
     most_determined = int(np.argmin(np.append(is_determined, False)))
     values = np.empty((most_determined + 1, lags))
     for na in range(most_determined + 1):
