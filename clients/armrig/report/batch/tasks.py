@@ -237,8 +237,7 @@ def _identification_row(task: Identify, data: Dataset, doubted: list[str]) -> Ro
 
     task.check(data)
     fit = task.estimated(data)
-    return _attributes(fit, "identify") | {
-        "converged": fit.search.converged,
+    return _attributes("identify", fit, fit.search) | {
         "nk": task.nk,
         "p_white": fit.whiteness,
         "parameters": fit.theta,
@@ -247,10 +246,9 @@ def _identification_row(task: Identify, data: Dataset, doubted: list[str]) -> Ro
     }
 
 
-def _attributes(result: object, task: str) -> Row:
-    """Return the columns of a task that are attributes of a result with the same names."""
-    names = {*OF_THE_TASK[task]} & {*dir(result)}
-    return {name: getattr(result, name) for name in names}
+def _attributes(task: str, *results: object) -> Row:
+    """Return the columns of a task that are attributes of its results with the same names."""
+    return {x: getattr(one, x) for one in results for x in {*OF_THE_TASK[task]} & {*dir(one)}}
 
 
 def _validation_row(fit: Fit, data: Dataset, doubted: list[str]) -> Row:
@@ -258,7 +256,7 @@ def _validation_row(fit: Fit, data: Dataset, doubted: list[str]) -> Row:
     from armrig.validation.residuals import residuals
 
     tests = residuals(fit, data)
-    return _attributes(compare(data, fit)[0], "validate") | {
+    return _attributes("validate", compare(data, fit)[0]) | {
         "model_of": fit.source,
         "output": fit.output,
         "p_white": tests.white.p_value,
