@@ -10,7 +10,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig_core.commands.control_rehearsal import rehearse_control
-from armrig_core.control.control_law import ControlLaw
+from armrig_core.control.control_law import MAX_DELAY, ControlLaw
 from armrig_core.errors import InputError
 from armrig_core.rig.arm import zero_order_hold
 from armrig_core.rig.description import Description
@@ -110,7 +110,7 @@ def _loop(
     voltages: tuple[float, float],
     rng: Generator,
 ) -> DrawnLoop | None:
-    """Return the loop of a rig; None if r would be below 10 steps of the converter."""
+    """Return the loop of a rig; None if a law refuses its dead time, or r is below 10 steps."""
     system, rig_model = described.system, described.model
     assert system is not None
     assert rig_model is not None
@@ -126,7 +126,7 @@ def _loop(
     )
     rest, far = voltages
     gains = -(C @ np.linalg.solve(A, B))[:, 0]
-    if abs(gains[0] * (far - rest)) < 10 * steps[0]:
+    if plant.delay > MAX_DELAY or abs(gains[0] * (far - rest)) < 10 * steps[0]:
         return None
     u = np.where(np.cumsum(rng.random(N_DATA) < 0.5 * Ts / max(taus)) % 2 == 0, rest, far)
     x, y = np.zeros(len(A)), np.zeros((N_DATA, len(C)))
