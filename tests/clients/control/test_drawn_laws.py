@@ -110,7 +110,10 @@ def _loop(
     voltages: tuple[float, float],
     rng: Generator,
 ) -> DrawnLoop | None:
-    """Return the loop of a rig; None if a law refuses its dead time, or r is below 10 steps."""
+    """Return the loop of a rig; None without a change of u, or if r or the dead time is no case.
+
+    r is at least 10 steps of the converter, and the dead time at most that of a law.
+    """
     system, rig_model = described.system, described.model
     assert system is not None
     assert rig_model is not None
@@ -129,6 +132,8 @@ def _loop(
     if plant.delay > MAX_DELAY or abs(gains[0] * (far - rest)) < 10 * steps[0]:
         return None
     u = np.where(np.cumsum(rng.random(N_DATA) < 0.5 * Ts / max(taus)) % 2 == 0, rest, far)
+    if np.ptp(u) == 0:
+        return None
     x, y = np.zeros(len(A)), np.zeros((N_DATA, len(C)))
     for k in range(N_DATA):
         y[k] = C @ x
