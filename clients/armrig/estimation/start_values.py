@@ -20,7 +20,13 @@ import numpy as np
 from armrig.estimation.problem import PolynomialProblem
 from armrig.models.innovations import Experiment, trend
 from armrig.models.structure import Structure, free_columns
-from armrig.numerics.least_squares import least_squares, orthonormal, triangle
+from armrig.numerics.least_squares import (
+    RANK_TOLERANCE,
+    column_norms,
+    least_squares,
+    orthonormal,
+    triangle,
+)
 from armrig.numerics.polynomial import Array, apply_filter, lag_columns, reflect_roots
 from armrig.numerics.regressors import complete, past
 from armrig.numerics.whiteness import autoregression
@@ -187,7 +193,7 @@ def contributions(parts: Sequence[tuple[Array, Array]], n: Structure) -> list[Ar
         block = np.column_stack([-lag_columns(y, range(1, most + 1)), *inputs, trend(n, y.size), y])
         blocks.append(block[most + max(n.nk) :])
     stacked = np.vstack(blocks)
-    # The high order may exceed the rank of the data; dependent columns have coefficient 0.
+    # The high order may exceed the rank of the data; dependent columns share their coefficient.
     theta = least_squares(stacked[:, :-1], stacked[:, -1:])[:, 0]
     A = reflect_roots(np.append(1.0, theta[:most]))
     B = [
@@ -207,7 +213,7 @@ def equation_error(equations: Sequence[Path], F: Array, n: int) -> Array:
     """
     blocks = []
     for equation in equations:
-        triangles = []
+        triangles, squares = [], np.zeros(n + 1)
         for k, (u, y) in enumerate(equation.parts):
             y_F, *u_F = apply_filter([1.0], F, np.vstack([y, u.T])) if F.size > 1 else (y, *u.T)
             inputs = [lag_columns(x, lags) for x, lags in zip(u_F, equation.lags, strict=True)]
@@ -217,7 +223,11 @@ def equation_error(equations: Sequence[Path], F: Array, n: int) -> Array:
             columns = np.column_stack([free, *inputs, outputs, y_F])
             R = triangle([columns], columns.shape[1])
             triangles.append(R[free.shape[1] :, free.shape[1] :])
-        blocks.append(triangle(triangles, triangles[0].shape[1])[-n - 1 :, -n - 1 :])
+            squares += column_norms(R[:, -n - 1 :]) ** 2
+        rest = triangle(triangles, triangles[0].shape[1])[-n - 1 :, -n - 1 :]
+        # If y follows from u at once, the rest of a column is its rounding errors.
+        known = column_norms(rest) > RANK_TOLERANCE * np.sqrt(squares)
+        blocks.append(np.where(known, rest, 0.0))
     stacked = np.vstack(blocks)
     return np.append(1.0, least_squares(stacked[:, :n], stacked[:, n:]))
 

@@ -14,6 +14,7 @@ from armrig.numerics.polynomial import Array
 
 RANK_TOLERANCE = 1e-12
 """Share of the largest diagonal entry of R; columns with a smaller entry count as dependent."""
+_NO_NORM = 1e-100  # the square of a smaller number underflows
 _LAPACK_BLOCK_COLUMNS = 64  # columns that LAPACK decomposes at once
 
 
@@ -78,12 +79,23 @@ def orthonormal(M: Array, tolerance: float = RANK_TOLERANCE) -> Basis:
 
 
 def least_squares(M: Array, Y: Array) -> Array:
-    """Return X (d, m) that minimises |Y - M X|; the coefficients of a dependent column are 0."""
+    """Return the least X (d, m) that minimises |Y - M X|, with each column of M scaled to norm 1.
+
+    Dependent columns share their coefficient. A coefficient of 0 for one of them would depend on
+    the order of the pivots, and this order on rounding errors.
+    """
     Q, R, kept, scale = _decompose(M)
     X = np.zeros((M.shape[1], Y.shape[1]))
-    if kept.size:
-        # dtrtrs is not used, because OpenBLAS starts its threads for dtrtrs.
+    if not kept.size:
+        return X
+    norms = column_norms(M)
+    used = np.flatnonzero(norms > _NO_NORM)
+    # dtrtrs is not used, because OpenBLAS starts its threads for dtrtrs.
+    if kept.size == used.size:
         X[kept] = np.linalg.solve(R, Q.T @ Y) / scale[:, None]
+        return X
+    rows = np.linalg.qr((Q.T @ (M[:, used] / norms[used])).T)
+    X[used] = rows.Q @ np.linalg.solve(rows.R.T, Q.T @ Y) / norms[used, None]
     return X
 
 
@@ -98,7 +110,7 @@ def _decompose(
 ) -> tuple[Array, Array, NDArray[np.int_], Array]:
     """Return Q and R of the independent columns, their indices and their scales."""
     scale = column_norms(M)
-    used = np.flatnonzero(scale > 1e-100)  # the square of a smaller number underflows
+    used = np.flatnonzero(scale > _NO_NORM)
     if used.size == 0 or M.shape[0] == 0:
         none = np.zeros(0)
         return np.zeros((M.shape[0], 0)), np.zeros((0, 0)), np.zeros(0, dtype=np.int_), none

@@ -285,6 +285,13 @@ def test_denominators_of_a_start_are_stable_though_the_data_grow() -> None:
     assert all(np.abs(roots(x)).max() < 1 for x in found)
 
 
+def test_a_denominator_of_rounding_errors_is_one() -> None:
+    u = np.random.default_rng(2).standard_normal(80)
+    path = Path(parts=((u[:, None], 3e9 * u),), lags=(range(3),), pulses=2)
+
+    np.testing.assert_array_equal(equation_error([path], np.ones(1), 2), [1.0, 0.0, 0.0])
+
+
 @pytest.mark.parametrize("gaps", [[], [30], [30, 31, 60]])
 def test_a_start_at_rest_reserves_no_samples_for_the_past(gaps: list[int]) -> None:
     """After a gap the state of the noise is predicted, not estimated."""

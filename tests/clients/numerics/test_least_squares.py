@@ -17,10 +17,22 @@ def test_the_solution_does_not_depend_on_the_use_of_a_basis() -> None:
     basis = orthonormal(M)
 
     assert basis.rank == 4
-    np.testing.assert_allclose(least_squares(M, Y), basis.coefficients(Y), rtol=1e-9)
+    np.testing.assert_allclose(M @ least_squares(M, Y), M @ basis.coefficients(Y), atol=1e-9)
     np.testing.assert_allclose(without_span(M, Y), basis.without(Y), atol=1e-12)
     np.testing.assert_allclose(M.T @ without_span(M, Y) / 1e6, 0.0, atol=1e-9)
     np.testing.assert_array_equal(M, before)
+
+
+def test_dependent_columns_share_their_coefficient_in_any_order() -> None:
+    rng = np.random.default_rng(2)
+    M = rng.standard_normal((40, 3))[:, [0, 1, 1, 2, 1]] * [1.0, 1.0, 100.0, 1.0, 1.0]
+    y = M @ [1.0, 2.0, 0.01, 3.0, 0.0]
+    swap = [4, 2, 0, 1, 3]
+
+    x = least_squares(M, y[:, None])[:, 0]
+
+    np.testing.assert_allclose(x, [1.0, 1.0, 0.01, 3.0, 1.0])
+    np.testing.assert_allclose(least_squares(M[:, swap], y[:, None])[:, 0], x[swap])
 
 
 def test_a_matrix_of_zeros_or_without_columns_explains_nothing() -> None:
