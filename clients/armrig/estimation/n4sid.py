@@ -29,6 +29,7 @@ from armrig.estimation.state_space_problem import (
     StateSpaceProblem,
     delays_of,
     directions,
+    experiments_with_response,
     parts_of,
     scale_signals,
 )
@@ -171,6 +172,7 @@ def n4sid(
         replicates = 0 if data.ny == 1 else _REPLICATES
     require_integers(order=(1 if order is None else order, 1), replicates=(replicates, 0))
     delays = delays_of(nk, data)
+    data = experiments_with_response(data, delays)
     require_windows(horizon or least_horizon(order, data.ny), data.nu + data.ny, data.N)
     require_informative(data)
     scaled, su, sy = scale_signals(data, delays)
@@ -220,6 +222,7 @@ def n4sid(
 def order_of(data: Signals, nk: int | Sequence[int] = 1) -> int:
     """Return the number of states that `n4sid` chooses."""
     delays = delays_of(nk, data)
+    data = experiments_with_response(data, delays)
     require_informative(data)
     scaled, _, _ = scale_signals(data, delays)
     return len(estimate_subspace_model(scaled, SubspaceOptions(direct=max(delays) == 0)).model.A)

@@ -23,6 +23,7 @@ from armrig.estimation.state_space_problem import (
     Linear,
     StateSpaceProblem,
     delays_of,
+    experiments_with_response,
     parts_of,
     scale_signals,
     tangent,
@@ -148,6 +149,7 @@ def ss(
     require_integers(order=(order, 1))
     require_flags(noise=noise)
     delays = delays_of(nk, data)
+    data = experiments_with_response(data, delays)
     require_informative(data)
     n, nu, ny = int(order), data.nu, data.ny
     direct = max(delays) == 0

@@ -302,6 +302,15 @@ def delays_of(nk: int | Sequence[int], data: Signals) -> tuple[int, ...]:
     return delays
 
 
+def experiments_with_response(data: Signals, delays: tuple[int, ...]) -> Signals:
+    """Return the data without the experiments that end before all delayed inputs are known."""
+    experiments, first = [*data.experiments()], max(max(delays) - 1, 0)
+    kept = [i for i, part in enumerate(experiments) if first < part.N]
+    if not kept:
+        raise InputError(f"nk={max(delays)}: no experiment has more than {first} samples; lower nk")
+    return data if len(kept) == len(experiments) else data.select(*kept)
+
+
 def scale_signals(
     data: Signals, delays: tuple[int, ...]
 ) -> tuple[list[tuple[Array, Array]], Array, Array]:

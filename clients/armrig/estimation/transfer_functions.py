@@ -263,17 +263,17 @@ def process(
 
 def _delay(delay: Delay, data: Dataset) -> tuple[float | None, float]:
     """Return the delay in samples, None if it is searched, and the longest delay of a search."""
-    shortest = min(part.N for part in data.experiments())
+    longest = max(part.N for part in data.experiments())
     if delay == "estimate":
-        return None, min(_LONGEST_SHARE * shortest, _MAX_LONGEST)
+        return None, min(_LONGEST_SHARE * longest, _MAX_LONGEST)
     try:
         samples = np.nan if isinstance(delay, bool) else float(delay or 0.0) / data.Ts
     except (TypeError, ValueError):
         raise InputError(f'delay={delay!r} must be a number of seconds or "estimate"') from None
-    if not 0 <= samples < shortest:
+    if not 0 <= samples < longest:
         raise InputError(
-            f"delay={delay} s must be 0 or more and shorter than the record, "
-            f"{shortest * data.Ts:g} s"
+            f"delay={delay} s must be 0 or more and shorter than the longest "
+            f"experiment, {longest * data.Ts:g} s"
         )
     return samples, samples
 

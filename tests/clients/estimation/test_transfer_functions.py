@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.merging import merge
+from armrig.estimation.n4sid import n4sid
 from armrig.estimation.polynomial_structures import bj, oe
+from armrig.estimation.ss import ss
 from armrig.estimation.transfer_functions import process, tf
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.polynomial import apply_filter
 from armrig.recordings.files.loading import example_recording
+from armrig.validation.model_search import search
 from armrig_core.errors import InputError
 
 TS = 0.1
@@ -129,6 +132,28 @@ def test_a_straight_line_between_samples_is_an_option_of_the_data() -> None:
     assert held.loss > 1e6 * fit.loss
 
 
+def test_an_experiment_shorter_than_the_delay_does_not_limit_it() -> None:
+    rng = np.random.default_rng(3)
+    u = [np.repeat([0.0, 4.0], 3), *(np.repeat(rng.choice([0.0, 4.0], 20), 15) for _ in "ab")]
+    y = [apply_filter(np.append(np.zeros(9), 0.3), [1, -0.85], x) for x in u]
+    noisy = [x + 0.02 * rng.standard_normal(x.size) for x in y]
+    x = merge([Dataset(u=a, y=b, Ts=0.5) for a, b in zip(u, noisy, strict=True)])
+
+    searched, given = process(x, "P1D"), tf(x, poles=1, delay=4.0)
+
+    delay = searched.quantities()["delay"]
+    assert abs(delay.value - 4.0) < 4 * delay.std < 0.05
+    for fit in (searched, given):
+        for name, true in (("gain", 2.0), ("time constant", -0.5 / np.log(0.85))):
+            estimate = fit.quantities()[name]
+            assert abs(estimate.value - true) < 4 * estimate.std
+    fits = (ss(x, order=1, nk=9, noise=False), n4sid(x, order=1, nk=9), search(x, orders=[1]).fit)
+    for fit in fits:
+        assert abs(fit.poles().values[0] - 0.85) < 0.01
+    with pytest.raises(InputError, match="nk=302: no experiment has more than 301 samples"):
+        ss(x, order=1, nk=302)
+
+
 def test_a_delay_at_zero_is_no_parameter() -> None:
     fit = process(example_recording().dataset("theta_1"), "P1DI")
 
@@ -141,7 +166,7 @@ def test_a_delay_at_zero_is_no_parameter() -> None:
     [
         ({"poles": 2, "zeros": 2}, "zeros=2 must be less than poles=2"),
         ({"poles": 0}, "poles=0"),
-        ({"poles": 2, "delay": 81.0}, "shorter than the record, 80 s"),
+        ({"poles": 2, "delay": 81.0}, "shorter than the longest experiment, 80 s"),
         ({"poles": 2, "delay": -1.0}, "must be 0 or more"),
         ({"poles": 2, "delay": "guess"}, 'or "estimate"'),
         ({"poles": 2, "delay": [0.1]}, 'or "estimate"'),
