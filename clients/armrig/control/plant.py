@@ -542,13 +542,10 @@ def _of_grey_box(fit: GreyFit, Ts: float | None) -> dict[str, Any]:
             "point, a python-control system"
         )
     time = Ts or fit.Ts
-    delay = physics.delay / time
-    if abs(delay - round(delay)) > _EXACT:
-        raise InputError(f"the dead time of {physics.delay:g} s is no multiple of Ts={time:g} s")
 
     def plant(values: dict[str, float]) -> Plant:
         (Phi, Gamma), (C, _) = physics.sampled(values, time)
-        return _with_integrator(Phi, Gamma[:, 0], C, round(delay))
+        return _with_integrator(Phi, Gamma[:, 0], C)
 
     values = {name: fit.values[name] for name in fit.names}
     P = fit.covariance_robust if fit.whiteness < 0.01 else fit.covariance

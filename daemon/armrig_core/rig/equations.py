@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import keyword
 from collections import namedtuple
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,6 +28,7 @@ MAX_STEPS = 64
 """Largest number of Runge-Kutta steps in an interval."""
 STEP_TOLERANCE = 1e-3
 """Largest change of the outputs if the steps are doubled, as a share of the outputs' deviation."""
+_WHOLE = 1e-9  # share of Ts below which a dead time is a multiple of Ts
 _SIMULATED = 1e-6  # the same for a simulation
 _BOUNDED = 1e-12  # least distance of a start from its bound, as a share of the value
 
@@ -79,8 +80,8 @@ class Ode:
     parameters : mapping of str to Parameter
         Parameters by name; a number is a parameter without unit and bounds.
     delay : float, default 0.0
-        Dead time of the inputs in s, >= 0. If it is no multiple of Ts, the input of an interval is
-        its mean. Before the data the input is its first value, and an estimation leaves out the
+        Dead time of the inputs in s, >= 0. If it is no multiple of Ts, the inputs change within an
+        interval. Before the data the input is its first value, and an estimation leaves out the
         outputs of the first dead time.
 
     Raises
@@ -189,7 +190,8 @@ class Ode:
         """
         inputs = np.asarray(u, np.float64)
         inputs = inputs[:, None] if inputs.ndim == 1 else inputs
-        course = Course.of(self.delayed(inputs, Ts), Ts)
+        whole, share = self.delay_in_samples(Ts)
+        course = Course.of(inputs, Ts, whole, share)
         start = np.zeros(len(self.states)) if x0 is None else np.asarray(x0, np.float64)
         if start.shape != (len(self.states),):
             raise InputError(
@@ -200,21 +202,22 @@ class Ode:
         y = integrate_ode(self, course, start[:, None, None], point, m).y
         return np.asarray(y[:, :, 0, 0])
 
-    def delayed(self, u: Matrix, Ts: float) -> Matrix:
-        """Return the inputs (N, nu) after the dead time.
+    def delay_in_samples(self, Ts: float) -> tuple[int, float]:
+        """Return the whole samples of the dead time, and the rest as a share of Ts.
 
         Examples
         --------
         >>> import armrig
         >>> late = armrig.Ode(f=lambda t, x, u, p: [u[0]], output=lambda t, x, u, p: x[0],
-        ...                   states=["level"], parameters={}, delay=0.3)
-        >>> late.delayed(np.array([[0.0], [1.0], [2.0], [2.0]]), 0.2).round(3).ravel()
-        array([0. , 0. , 0.5, 1.5])
+        ...                   states=["level"], parameters={}, delay=0.25)
+        >>> late.delay_in_samples(0.1)
+        (2, 0.5)
+        >>> late.simulate([1.0, 1.0, 2.0, 2.0, 2.0, 2.0], Ts=0.1).round(3).ravel()
+        array([0.  , 0.1 , 0.2 , 0.3 , 0.4 , 0.55])
         """
-        samples, share = divmod(self.delay / Ts, 1.0)
-        index = np.arange(len(u)) - int(samples)
-        now, before = u[np.maximum(index, 0)], u[np.maximum(index - 1, 0)]
-        return np.asarray((1 - share) * now + share * before)
+        samples = self.delay / Ts
+        whole = int(samples + _WHOLE)
+        return whole, samples - whole if samples - whole > _WHOLE else 0.0
 
 
 def friction(
@@ -278,21 +281,47 @@ def saturation(x: Any, low: Any, high: Any) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
-    """Inputs of segments of equal length."""
+    """Inputs of segments of equal length, after the whole samples of their dead time."""
 
     u: Matrix
     """Input at each sample and at the end of the last interval, (L + 1, nu, S)."""
+    before: Matrix
+    """Input one sample earlier, (L + 1, nu, S)."""
     t: Matrix
     """Time of each sample, (L + 1, S)."""
     Ts: float
     linear: tuple[bool, ...]
     """True for an input that is a straight line between samples, False if it is held."""
+    share: float = 0.0
+    """Rest of the dead time, as a share of Ts: the inputs change so long after each sample."""
 
     @classmethod
-    def of(cls, u: Matrix, Ts: float) -> Course:
+    def of(cls, u: Matrix, Ts: float, whole: int = 0, share: float = 0.0) -> Course:
         """Return the course of held inputs (N, nu) as a single segment."""
-        t = Ts * np.arange(u.shape[0], dtype=np.float64)
-        return cls(u=u[:, :, None], t=t[:, None], Ts=Ts, linear=(False,) * u.shape[1])
+        index = np.arange(u.shape[0])
+        now, before = (u[np.maximum(index - whole - d, 0)][:, :, None] for d in (0, 1))
+        t = Ts * index[:, None].astype(np.float64)
+        held = (False,) * u.shape[1]
+        return cls(u=now, before=before, t=t, Ts=Ts, linear=held, share=share)
+
+    def at(self, k: int) -> Matrix:
+        """Return the inputs (nu, S) at sample k."""
+        if not self.share:
+            return np.asarray(self.u[k])
+        between = self.u[k] + self.share * (self.before[k] - self.u[k])
+        return np.asarray(np.where(np.array(self.linear)[:, None], between, self.before[k]))
+
+    def pieces(self, k: int) -> Iterator[tuple[float, float, Matrix, Matrix]]:
+        """Yield the stretches of interval k in which the inputs are smooth.
+
+        A stretch is its begin after sample k and its duration in s, the inputs (nu, S) at its
+        begin, and their slopes.
+        """
+        linear, edges = np.array(self.linear)[:, None], (0.0, self.share * self.Ts, self.Ts)
+        values = (self.at(k), self.u[k], self.at(k + 1))
+        for i in (0, 1) if self.share else (1,):
+            duration = edges[i + 1] - edges[i]
+            yield edges[i], duration, values[i], (values[i + 1] - values[i]) * linear / duration
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -310,33 +339,33 @@ def integrate_ode(
 ) -> Trajectories:
     """Return the trajectories from the states x (n, points, S).
 
-    A value of `point` is a number, or an array (points, 1). An input that is held jumps only at
-    samples. The method has the order 4.
+    A value of `point` is a number, or an array (points, 1). The method has the order 4. No step
+    contains a jump of an input.
     """
     L = course.u.shape[0] - 1
     p = ode.point(**point)
     shape = x.shape[1:]
-    h, linear = course.Ts / steps, any(course.linear)
-    slope = np.zeros_like(course.u[0])
+    linear = any(course.linear)
     recorded = []
     derivative = derivative_function(ode, shape)
     for k in range(L + 1):
-        u, t = course.u[k][:, None, :], course.t[k]
-        recorded.append(evaluate_outputs(ode, t, x, u, p, shape))
+        recorded.append(evaluate_outputs(ode, course.t[k], x, course.at(k)[:, None, :], p, shape))
         if k == L:
             break
-        if linear:
-            slope = (course.u[k + 1] - course.u[k]) * np.array(course.linear)[:, None] / course.Ts
-        for i in range(steps):
-            a, b, c = t + i * h, t + (i + 0.5) * h, t + (i + 1) * h
-            ua = ub = uc = u
-            if linear:
-                ua, ub, uc = (u + (s - t) * slope[:, None, :] for s in (a, b, c))
-            k1 = derivative(a, x, ua, p)
-            k2 = derivative(b, x + 0.5 * h * k1, ub, p)
-            k3 = derivative(b, x + 0.5 * h * k2, ub, p)
-            k4 = derivative(c, x + h * k3, uc, p)
-            x = x + (h / 6) * (k1 + 2 * (k2 + k3) + k4)
+        for begin, duration, first, slope in course.pieces(k):
+            t, u = course.t[k] + begin, first[:, None, :]
+            n = max(1, int(np.ceil(steps * duration / course.Ts - _WHOLE)))
+            h = duration / n
+            for i in range(n):
+                a, b, c = t + i * h, t + (i + 0.5) * h, t + (i + 1) * h
+                ua = ub = uc = u
+                if linear:
+                    ua, ub, uc = (u + (s - t) * slope[:, None, :] for s in (a, b, c))
+                k1 = derivative(a, x, ua, p)
+                k2 = derivative(b, x + 0.5 * h * k1, ub, p)
+                k3 = derivative(b, x + 0.5 * h * k2, ub, p)
+                k4 = derivative(c, x + h * k3, uc, p)
+                x = x + (h / 6) * (k1 + 2 * (k2 + k3) + k4)
     return Trajectories(y=np.array(recorded), end=x)
 
 

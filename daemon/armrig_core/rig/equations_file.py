@@ -186,7 +186,8 @@ class _Motion:
     def held(self, u: float, dt: float) -> list[float]:
         """Hold an input for a time; return the outputs at its end."""
         t = self.t + np.array([[0.0], [dt]])
-        course = Course(u=np.full((2, 1, 1), u), t=t, Ts=dt, linear=(False,))
+        held = np.full((2, 1, 1), u)
+        course = Course(u=held, before=held, t=t, Ts=dt, linear=(False,))
         steps = max(1, int(np.ceil(dt / self.step_s)))
         try:
             with np.errstate(all="ignore"):

@@ -7,7 +7,10 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
+from armrig.physics.grey_box.physical_models import Equations
+from armrig.physics.grey_box.shooting import Segments
 from armrig_core.errors import InputError
+from armrig_core.rig.equations import integrate_ode
 
 TRUTH = {"k": 8.0, "tau": 4.0}
 
@@ -38,6 +41,24 @@ def test_parameters_behind_a_dead_time_are_within_their_deviations(delay: float)
         assert abs(fit.values[name] - value) < 4 * fit.std[name]
     assert np.isnan(fit.errors(data)[: int(np.ceil(delay / 0.2))]).all()
     assert wrong.fit_percent < fit.fit_percent - 10
+
+
+@pytest.mark.parametrize("delay", [0.03, 0.4, 0.57])
+@pytest.mark.parametrize("intersample", ["zoh", "foh"])
+def test_a_dead_time_between_samples_is_exact(delay: float, intersample: Any) -> None:
+    """The reference has a sampling time of which the dead time is a multiple."""
+    model = _heater(lambda t, x, u, p: [x[0], u[0]], delay)
+    u, share = np.random.default_rng(5).uniform(0, 5, 12), np.arange(20) / 20
+    between = u[:-1, None] + np.diff(u)[:, None] * share * (intersample == "foh")
+
+    def outputs(u: Any, Ts: float) -> Any:
+        data = armrig.Signals(u=u, y=np.zeros((u.size, 2)), Ts=Ts, intersample=intersample)
+        course = Segments.of(Equations(model=model), [data], u.size - 1).course
+        return integrate_ode(model, course, np.zeros((2, 1, 1)), model.values, 8).y[:, :, 0, 0]
+
+    fine = outputs(np.append(between.ravel(), u[-1]), 0.01)
+
+    np.testing.assert_allclose(outputs(u, 0.2), fine[::20], atol=1e-9)
 
 
 @pytest.mark.parametrize(

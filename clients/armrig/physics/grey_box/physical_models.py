@@ -67,13 +67,12 @@ class Equations:
         return self.model.states
 
     def inputs(self, data: Signals) -> Matrix:
-        """Return the delayed inputs (N, nu) of an experiment: of a rig, the voltage at its pin."""
-        return self.model.delayed(data.volts, data.Ts)
+        """Return the inputs (N, nu) of an experiment: of a rig, the voltage at its pin."""
+        return data.volts
 
-    @property
-    def delay(self) -> float:
-        """Dead time of the inputs, in s."""
-        return self.model.delay
+    def delay_in_samples(self, Ts: float) -> tuple[int, float]:
+        """Return the whole samples of the inputs' dead time, and the rest as a share of Ts."""
+        return self.model.delay_in_samples(Ts)
 
     def integrate(
         self, course: Course, x: NDArray[np.float64], values: Mapping[str, Any], steps: int
@@ -130,8 +129,6 @@ class Physics:
     """Values of all parameters that are not free."""
     outputs: tuple[str, ...]
     """Labels of the measured outputs."""
-    delay: float = 0.0
-    """Dead time of the input, in s."""
     friction: bool = False
     """True with Coulomb friction; u0 is then estimated only with a bipolar input."""
 
@@ -168,6 +165,10 @@ class Physics:
                 raise InputError(
                     f"output={output!r} is none of the model's outputs {system.output_labels}"
                 )
+
+    def delay_in_samples(self, Ts: float) -> tuple[int, float]:
+        """Return 0: the rig has no dead time."""
+        return 0, 0.0
 
     def inputs(self, data: Signals) -> Matrix:
         """Return the input, and 1 if its offset is free or 0 if not, (N, 2)."""

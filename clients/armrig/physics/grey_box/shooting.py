@@ -71,11 +71,14 @@ class Segments:
     @classmethod
     def of(cls, model: PhysicalModel, experiments: Sequence[Signals], length: int) -> Segments:
         """Cut the experiments."""
-        Ts, indices, inputs, places, first = experiments[0].Ts, [], [], [], 0
+        Ts, indices, inputs, before, places, first = experiments[0].Ts, [], [], [], [], 0
+        whole, share = model.delay_in_samples(Ts)
         for data in experiments:
             S = max(1, -(-(data.N - 1) // length))
             index = np.arange(length + 1)[:, None] + length * np.arange(S)
-            inputs.append(model.inputs(data)[np.minimum(index, data.N - 1)])
+            u, late = model.inputs(data), np.minimum(index, data.N - 1) - whole
+            inputs.append(u[np.maximum(late, 0)])
+            before.append(u[np.maximum(late - 1, 0)])
             # The last sample begins no interval: it may be the end of the last segment.
             segment = np.minimum(np.arange(data.N) // length, S - 1)
             places.append((np.arange(data.N) - length * segment, first + segment))
@@ -86,11 +89,13 @@ class Segments:
         return cls(
             course=Course(
                 u=np.moveaxis(np.concatenate(inputs, 1), 1, 2),
+                before=np.moveaxis(np.concatenate(before, 1), 1, 2),
                 t=np.asarray(Ts * np.concatenate(indices, 1)),
                 Ts=Ts,
                 linear=tuple(x == "foh" for x in experiments[0].intersample),
+                share=share,
             ),
-            y=np.vstack([_outputs_with_gaps(data, ceil(model.delay / Ts)) for data in experiments]),
+            y=np.vstack([_outputs_with_gaps(data, ceil(whole + share)) for data in experiments]),
             place=(interval, segment),
             experiment=np.repeat(np.arange(len(indices)), [index.shape[1] for index in indices]),
             rows=tuple(slice(a, b) for a, b in pairwise(edges)),
