@@ -46,7 +46,7 @@ def test_parameters_behind_a_dead_time_are_within_their_deviations(delay: float)
 @pytest.mark.parametrize("delay", [0.03, 0.4, 0.57])
 @pytest.mark.parametrize("intersample", ["zoh", "foh"])
 def test_a_dead_time_between_samples_is_exact(delay: float, intersample: Any) -> None:
-    """The reference has a sampling time of which the dead time is a multiple."""
+    """The dead time is a whole number of samples of the reference."""
     model = _heater(lambda t, x, u, p: [x[0], u[0]], delay)
     u, share = np.random.default_rng(5).uniform(0, 5, 12), np.arange(20) / 20
     between = u[:-1, None] + np.diff(u)[:, None] * share * (intersample == "foh")

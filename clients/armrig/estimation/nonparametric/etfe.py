@@ -13,11 +13,13 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
+from armrig.data.columns import Matrix
 from armrig.data.dataset import Dataset, labels
 from armrig.data.merging import merge
 from armrig.data.step import loop_notes
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
+from armrig.estimation.nonparametric.transients import decaying_transient
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import summation
@@ -26,14 +28,17 @@ from armrig.numerics.quantities import digits, plural
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Integers = NDArray[np.intp]
-Lines = tuple[Integers, Complex, Vector, int, str]
-"""Numbers of the lines, G, its variance, the number of samples of a transform, and the method."""
+Lines = tuple[Integers, Complex, Vector, int, str, list[str]]
+"""Numbers of the lines, G, its variance, the number of samples of a transform, method and notes."""
 Transforms = tuple[Complex, Complex, Integers]
 """U (lines,), Y (periods, lines), and number of known y at each instant of the period, (P,)."""
+Periods = tuple[Transforms, list[str]]
+"""Transforms of the whole periods of one realisation, and notes on its transient."""
 
 # Least magnitude of an excited line, as a share of the largest line. Between the 125 lines of a
 # multisine, a PWM of 10 bits causes lines with shares of 1e-3, at most 2e-3.
 _MIN_LINE_SHARE = 5e-3
+_MORE_POWER = 2.0  # ratio of the first difference of periods to the later ones, for a note
 _ROUNDING = 1e-9  # of the range of u, by which a period may differ
 
 
@@ -43,8 +48,9 @@ def etfe(
 ) -> SpectralEstimate:
     """Return G(omega_k) = Y(omega_k)/U(omega_k) at the lines of the discrete Fourier transform.
 
-    A periodic input is detected if it has at least two whole periods. The first period, with the
-    transient, is not used, and the other periods are averaged. The result contains only excited
+    A periodic input is detected if it has at least two whole periods. The first period is not used,
+    and the other periods are averaged. What is left of a decaying transient is estimated from the
+    differences of the periods and subtracted; a note reports it. The result contains only excited
     lines, and is exact if there is no noise. With P >= 2 averaged periods, the variance of G is
     estimated from their scatter ::
 
@@ -106,7 +112,7 @@ def etfe(
         )
     integrates = decided.integrates
     lines = _periodic(data, P, integrates) if P else _aperiodic(data, integrates)
-    at, G, variance, N, words = lines
+    at, G, variance, N, words, notes = lines
     return _estimate(
         data,
         at / N,
@@ -115,7 +121,7 @@ def etfe(
         integrates=integrates,
         method=f"ETFE, {words}",
         N=data.N - data.missing,
-        notes=(*loop_notes(data.history), *decided.notes),
+        notes=(*loop_notes(data.history), *decided.notes, *notes),
     )
 
 
@@ -159,18 +165,18 @@ def _aperiodic(data: Dataset, integrates: bool) -> Lines:
     U, Y = (np.fft.rfft(x - np.mean(x)) for x in (treated.u, treated.y))
     at = _lines(strong_lines(U))
     words = "the input has no period: no smoothing, and the scatter does not decrease with N"
-    return at, Y[at] / U[at], np.full(at.size, np.nan), treated.N, words
+    return at, Y[at] / U[at], np.full(at.size, np.nan), treated.N, words, []
 
 
 def _periodic(data: Dataset, P: int, integrates: bool) -> Lines:
-    U, Y, n_k = _whole_periods(data, P, 1, integrates=integrates)
+    (U, Y, n_k), notes = _whole_periods(data, P, 1, integrates=integrates)
     at = _lines(strong_lines(U))
     variance = _noise_variance([(U, Y, n_k)], at)
     words = (
         f"{plural(len(Y), 'period')} of {plural(P, 'sample')}, after a transient period: "
         "exact except for noise"
     )
-    return at, np.mean(Y[:, at], axis=0) / U[at], variance, P, words
+    return at, np.mean(Y[:, at], axis=0) / U[at], variance, P, words, notes
 
 
 def period(u: Vector) -> int | None:
@@ -275,7 +281,8 @@ def bla(
     parts = list(joint.experiments())
     P = _common_period(parts) if period_length is None else period_length
     require_integers(period_length=(P, 2))
-    pairs = [_whole_periods(part, P, transient, integrates=integrates) for part in parts]
+    each = [_whole_periods(part, P, transient, integrates=integrates) for part in parts]
+    pairs, left = [pair for pair, _ in each], [note for _, notes in each for note in notes]
     at = _lines(np.all([strong_lines(U) for U, _, _ in pairs], axis=0))
     if at.size == 0:
         raise InputError(
@@ -299,7 +306,12 @@ def bla(
         method=f"best linear approximation, {R} realisations of {min(counts)} … {max(counts)} "
         f"periods of {plural(P, 'sample')}",
         N=sum(int(n_k.sum()) for _, _, n_k in pairs),
-        notes=(*loop_notes(joint.history), *decided.notes, *_notes(R, counts, noise, total)),
+        notes=(
+            *loop_notes(joint.history),
+            *decided.notes,
+            *left[:1],
+            *_notes(R, counts, noise, total),
+        ),
     )
 
 
@@ -315,8 +327,11 @@ def _common_period(parts: Sequence[Dataset]) -> int:
     return P or 0
 
 
-def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -> Transforms:
-    """Return the transforms of one realisation, in which missing y are replaced."""
+def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -> Periods:
+    """Return the transforms of one realisation, in which missing y are replaced.
+
+    The rest of a decaying transient is subtracted.
+    """
     treated = difference(part) if integrates else part
     periods = part.N // P
     cut = slice(transient * P, periods * P)
@@ -337,8 +352,25 @@ def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -
             f"of the {P} instants of its period: record more periods"
         )
     bridged = np.where(seen, y, np.nanmean(y, axis=0))
+    decay, tau = decaying_transient(bridged, seen)
+    bridged = np.where(seen, y - decay, np.nanmean(y - decay, axis=0))
     U = np.fft.rfft(part.u[cut][:P])
-    return U, np.asarray(np.fft.rfft(bridged, axis=1)), n_k
+    Y = np.asarray(np.fft.rfft(bridged, axis=1))
+    return (U, Y, n_k), _transient_notes(bridged, tau * part.Ts, before)
+
+
+def _transient_notes(y: Matrix, tau: float, before: str) -> list[str]:
+    """Return the time constant of the transient, and whether the first period still differs."""
+    notes, power = [], np.sum(np.diff(y, axis=0) ** 2, axis=1)
+    if tau:
+        decays = f"a transient that decays with about {digits(tau, 2)} s was subtracted"
+        notes.append(f"after {before}, {decays}")
+    if len(power) > 1 and power[0] > _MORE_POWER * np.mean(power[1:]):
+        notes.append(
+            f"after {before}, the next period differs more than later ones, so a transient may "
+            "bias G: leave out more periods (data[n:], or transient= of bla)"
+        )
+    return notes
 
 
 def _noise_variance(pairs: Sequence[Transforms], at: NDArray[np.int_]) -> Vector:
