@@ -48,6 +48,7 @@ PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
 LAGS = (100, 200, 400)  # numbers of lags of the impulse response, tried until one is large enough
 AGREED_SLOPE = 3.0  # largest difference from the slope of the first structure, in dB a decade
 _ROUNDING = 1e-9  # 1/sample; a slower pole counts as a pole at 1
+_ZERO_DB = 3.0  # least change of |G| by a zero, up to the fastest pole
 FLAT_SLOPE = 5.0  # largest slope of a gain that counts as constant, in dB a decade
 
 
@@ -315,7 +316,7 @@ def _confirm_slope(slope: float, best: OutputErrorFit, omega: Vector, Ts: float)
 
 
 def _process(best: OutputErrorFit, Ts: float) -> str:
-    """Return the form of `process` with the poles of a model; "" if its gain needs a zero."""
+    """Return the form of `process` with the poles of a model; "" if no form has its response."""
     s, poles = best.structure, np.roots(np.append(1.0, best.f)).astype(np.complex128)
     with np.errstate(divide="ignore"):
         slowest = float(np.min(np.abs(np.log(poles)), initial=np.inf))
@@ -324,7 +325,20 @@ def _process(best: OutputErrorFit, Ts: float) -> str:
     omega = slowest / Ts * np.geomspace(0.03, 0.1, 5)  # the gain is constant a decade below
     if abs(log_slope(omega, np.abs(best.G(omega, Ts))) + 20 * s.integrator) >= FLAT_SLOPE:
         return ""
-    return process_forms(poles, nk=s.nk, integrator=s.integrator).get(poles.size, "")
+    form = process_forms(poles, nk=s.nk, integrator=s.integrator).get(poles.size, "")
+    needs_zero = bool(form) and _zero_db(best, poles, omega[0], Ts) > _ZERO_DB
+    if needs_zero and poles.size + s.integrator < 2:
+        return ""
+    return f"{form[:2]}{'Z' * needs_zero}{form[2:]}"
+
+
+def _zero_db(best: OutputErrorFit, poles: NDArray[np.complex128], low: float, Ts: float) -> float:
+    """Return how far |G|, up to its fastest pole, is from that of the poles alone, in dB."""
+    s = np.log(poles) / Ts
+    omega = np.geomspace(low, max(min(np.abs(s).max(), 0.5 * np.pi / Ts), 2 * low), 60)
+    shape = np.abs(best.G(omega, Ts)) * omega**best.structure.integrator
+    shape *= np.prod(np.abs(1j * omega[:, None] - s), axis=1)
+    return float(np.ptp(20 * np.log10(shape)))
 
 
 def _extremes(best: OutputErrorFit, omega: Vector, Ts: float) -> list[tuple[float, ...]]:
@@ -349,7 +363,7 @@ def _extremes_told(omega: tuple[float, ...], name: str, wants: str) -> str:
 
 def _process_told(form: str) -> str:
     """Return the name of a process model and the call that estimates it."""
-    parts = {"D": "dead time", "I": "an integrator", "U": "a resonance"}
+    parts = {"Z": "a zero", "D": "dead time", "I": "an integrator", "U": "a resonance"}
     has = [name for letter, name in parts.items() if letter in form]
     more = f" with {join_names(has)}" if has else ""
     ordinal = ("first", "second", "third")[int(form[1]) - 1]

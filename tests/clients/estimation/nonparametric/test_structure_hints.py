@@ -12,6 +12,7 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.excitation import telegraph
+from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.polynomial import apply_filter
 from armrig.validation.recommended_structures import BARE, Recommended, _choose, recommend
 from armrig.validation.structure_hints import call_of_all, structure_hints
@@ -58,6 +59,22 @@ def test_hints_name_the_process_model_of_a_plant(F: list[float], form: str, name
 
     assert found.process == form
     assert found.reasons[-1] == f'in s: {name}: process(data, "{form}")'
+
+
+@pytest.mark.parametrize(("zero", "form"), [(-3.0, "P2Z"), (12.0, "P2Z"), (0.0, "P2")])
+def test_a_plant_with_a_zero_is_a_process_with_a_zero(zero: float, form: str) -> None:
+    """The zero is 1 + zero s; the time constants are 4 and 2 s."""
+    system = TransferFunction(
+        B=((np.array([zero, 1.0]) / 8,),), F=((np.array([1, 0.75, 0.125]),),), Ts=0.1
+    )
+    p, _ = system.sampled(0.1)
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.choice([0.0, 4.0], 25), 40)
+    y = apply_filter(p.B[0][0], p.F[0][0], u) + 0.02 * rng.standard_normal(u.size)
+
+    found = structure_hints(Dataset(u=u, y=y, Ts=0.1))
+
+    assert found.process == form
 
 
 @pytest.mark.exhaustive
