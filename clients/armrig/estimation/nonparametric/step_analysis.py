@@ -17,7 +17,7 @@ from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, OfDataset, labels
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import Integration, integration
-from armrig.data.treatment.outliers import quantum
+from armrig.data.treatment.outliers import ENOUGH_NOISE, quantum
 from armrig.estimation.data_faults import require_moving_output
 from armrig.estimation.nonparametric.step_answer import NormalisedResponse, step_answer
 from armrig.estimation.nonparametric.step_process import ProcessAnswer, step_process
@@ -35,6 +35,9 @@ MIN_GAP_SAMPLES, MIN_GAP_SHARE = 2, 0.1
 """Least length of a reported gap during the rise: in samples, and as a share of the 63 % time."""
 SETTLING_BAND = 0.05
 """Half width of the band in which the response has settled, as a share of the final value."""
+_LEAST_END = 0.7  # share of the final value from which a P1D or P2D fit extrapolates the rest
+_SEEN = 2.0  # deviations of slow noise from which a response is seen
+_COLOURED = 3.0  # deviations by which neighbouring samples of coloured noise are correlated
 _SLOPE_SIGMAS = 5  # a slope before the step counts as 0 up to this many standard deviations
 _MIN_UNSETTLED_SHARE = 0.005  # least reported motion before the step, as a share of the response
 _CURVE_ERROR = 0.1
@@ -231,17 +234,18 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     tail = y[k >= (2 * k[-1]) // 3]
     tail = tail[np.isfinite(tail)]
     gain = float(np.mean(tail)) if tail.size else float("nan")
-    gain_std = float(np.std(tail) / np.sqrt(max(tail.size, 1)))
-    if not abs(gain) > 4 * max(gain_std, rounding_std(y)):
+    noise_std, gain_std, is_coloured = _tail_noise(tail, data, steps)
+    tail_std = float(np.std(tail) / np.sqrt(max(tail.size, 1)))
+    if not abs(gain) > 4 * max(tail_std, rounding_std(y)):
         raise InputError(
             f"{treated.output} does not respond to the step: final value {digits(gain, 3)} ± "
-            f"{digits(gain_std, 2)}; use a larger step, or hold u longer"
+            f"{digits(tail_std, 2)}; use a larger step, or hold u longer"
             + "; or y settles (--assume settling, integrator=False)"
             * bool(decided.reason)
         )
     process = None if integrates else _process(y, k, weight, data, steps)
     if process is None:
-        answer = _answer(measured, k, weight, data, gain, integrates=integrates)
+        answer = _answer(measured, k, weight, data, (gain, noise_std), integrates=integrates)
     else:
         answer = process.answer
     crossing, L = answer.crossing, answer.dead_time
@@ -251,8 +255,16 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
             "a larger step, or hold u longer"
         )
     unsettled = _left_to_settle(y, k, steps, crossing / data.Ts)
-    rising = 0.0 if integrates or process is not None else _left_to_rise(y[k > 0] / gain)
+    rising = 0.0
+    if not integrates and process is None:
+        rising = _left_to_rise(y[k > 0] / gain, noise_std / abs(gain))
     hidden = _longest_gap(measured, k, crossing, data.Ts)
+    # Slow noise may look like the begin of the response, and hide a dead time.
+    low, high = answer.dead_time_interval
+    unseen = 0.0
+    if process is None and is_coloured and not L:
+        unseen = float(answer.t[np.argmax(answer.y > _SEEN * noise_std / abs(gain))])
+        high = max(high, unseen)
     notes = (
         *decided.notes,
         *(_warnings(tail / gain, unsettled / gain, answer, hidden, data, process, rising)),
@@ -261,7 +273,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         "t": t,
         "y": y,
         "dead_time": L,
-        "dead_time_interval": answer.dead_time_interval,
+        "dead_time_interval": (low, high),
         "smooth_t": answer.t,
         "hidden": hidden,
         "rate": integrates,
@@ -271,9 +283,9 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     }
     if process is not None:
         return StepAnalysis(**common, **_process_numbers(process, unsettled))
-    low, high = answer.dead_time_interval
-    L_std = (high - low) / 4 if L else 0.0
-    lag, lag_std = _lag(measured, k, data, steps, (gain, gain_std), integrates=integrates)
+    L_std = (high - low) / 4 if L else unseen / 2
+    final = gain, gain_std, noise_std
+    lag, lag_std = _lag(measured, k, data, steps, final, integrates=integrates)
     above, above_std = answer.overshoot
     above = above if above_std < _MAX_OVERSHOOT_STD else float("nan")
     gain_std = float(np.linalg.norm([gain_std, unsettled, rising * gain]))
@@ -290,7 +302,12 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         tau=determined * (crossing - L),
         tau_std=float(
             np.linalg.norm(
-                [answer.tau_std, _CURVE_ERROR * data.Ts**2 / crossing, rising * crossing]
+                [
+                    answer.tau_std,
+                    _CURVE_ERROR * data.Ts**2 / crossing,
+                    rising * crossing,
+                    unseen / 2,
+                ]
             )
         ),
         equivalent_time=determined * (lag - L),
@@ -302,6 +319,29 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         overshoot=above,
         overshoot_std=above_std,
     )
+
+
+def _tail_noise(tail: Vector, data: Dataset, steps: _Steps) -> tuple[float, float, bool]:
+    """Return deviations by the noise of the settled response, and whether it is coloured.
+
+    The deviations are those of a sample and of the gain, in units of y per unit of u. Coloured
+    noise counts as white noise of the same spectrum at low frequencies.
+    """
+    n, x = tail.size, np.linspace(-1.0, 1.0, tail.size)
+    e = tail - np.polyval(np.polyfit(x, tail, 1), x) if n > 2 else np.zeros(n)
+    variance = float(e @ e) / max(n - 2, 1)
+    near = float(e[1:] @ e[:-1] / (e @ e)) if variance > rounding_std(tail) ** 2 else 0.0
+    near = near + (2 + 4 * near) / n if near > _COLOURED / np.sqrt(n) else 0.0
+    near = min(near, 1 - 3 / max(n, 6))  # no fewer than three independent samples
+    variance *= (1 + near) / (1 - near)
+    parts = list(data.experiments())
+    sizes = np.array([parts[i].u[at] - parts[i].u[at - 1] for i, at in steps.at])
+    # An error of rounding is the same in all samples at rest, and in all steps between two levels.
+    q = _converter_step(data) / float(np.sqrt(np.mean(sizes**2)))
+    rounded = variance * sizes.size - q**2 / 12 < (ENOUGH_NOISE * q) ** 2
+    of_means = variance * (1 / max(n, 1) + 1 / (steps.pre // 2 + 1))
+    gain_std = float(np.sqrt(of_means + rounded * q**2 / 6))
+    return float(np.sqrt(variance)), gain_std, near > 0
 
 
 def _process(
@@ -352,7 +392,8 @@ def _process_numbers(process: ProcessAnswer, unsettled: float = 0.0) -> dict[str
         # The 95 % interval may lie unevenly about the value; its farther end is 1.96 std away.
         low, high = np.quantile(draws, [0.025, 0.975])
         std = float(max(high - value, value - low)) / 1.96
-        return (value, std) if std < _MAX_RELATIVE_STD * abs(value) else (np.nan, np.nan)
+        is_sure = std < _MAX_RELATIVE_STD * abs(value) and process.end >= _LEAST_END
+        return (value, std) if is_sure else (np.nan, np.nan)
 
     lags = process.time_constants.sum(axis=1)
     gain, gain_std = number(process.gains, process.scale)
@@ -363,6 +404,8 @@ def _process_numbers(process: ProcessAnswer, unsettled: float = 0.0) -> dict[str
     if process.form != "P2D" or np.isnan(constants).any():
         constants = []
     low, high = np.quantile(process.gains, [0.025, 0.975])
+    if process.end < _LEAST_END and high - low < 4 * _MAX_RELATIVE_STD * abs(process.scale):
+        low, high = -np.inf, np.inf  # the interval holds for this form only
     last_std = float(answer.std[-1])
     return {
         "form": process.form,
@@ -399,13 +442,16 @@ def step_integration(data: Dataset, integrator: bool | None) -> Integration:
     return Integration(integrates=False) if settles else decided
 
 
-def _left_to_rise(y: Vector) -> float:
-    """Return the further rise of y, divided by its last third, that a decaying rise would have."""
+def _left_to_rise(y: Vector, noise_std: float) -> float:
+    """Return the further rise of y, divided by its last third, that a decaying rise would have.
+
+    `noise_std` is that of a sample of y, from `_tail_noise`.
+    """
     last = [part[np.isfinite(part)] for part in np.array_split(y, 6)[3:]]
     if min(part.size for part in last) < MIN_HOLD_SAMPLES:
         return 0.0
     before, first, second = (float(np.mean(part)) for part in last)
-    noise = float(np.std(np.diff(last[2]))) / np.sqrt(last[2].size)
+    noise = noise_std / np.sqrt(last[2].size)
     change, earlier = second - first, first - before
     if not abs(change) > 4 * noise + rounding_std(y) or change * earlier <= 0:
         return 0.0
@@ -501,9 +547,16 @@ def _left_to_settle(y: Vector, k: NDArray[np.int_], steps: _Steps, crossing: flo
 
 
 def _answer(
-    y: Vector, k: NDArray[np.int_], weight: Vector, data: Dataset, gain: float, *, integrates: bool
+    y: Vector,
+    k: NDArray[np.int_],
+    weight: Vector,
+    data: Dataset,
+    gain_and_noise: tuple[float, float],
+    *,
+    integrates: bool,
 ) -> NormalisedResponse:
     """Return the posterior of the response divided by the gain."""
+    gain, noise_std = gain_and_noise
     y = np.where(_alone(np.isfinite(y)) & (k >= 0), np.nan, y / gain)
     # Rounding by a converter looks smooth if y moves slowly, and would count as signal.
     rounding = quantum(data) / (abs(gain) * np.sqrt(weight.max()))
@@ -514,7 +567,7 @@ def _answer(
         data.Ts,
         integrates=integrates,
         band=SETTLING_BAND,
-        least_variance=float(rounding**2 / 12),
+        least_variance=max(rounding**2 / 12, 0.0 if integrates else (noise_std / gain) ** 2),
     )
 
 
@@ -523,11 +576,14 @@ def _lag(
     k: NDArray[np.int_],
     data: Dataset,
     steps: _Steps,
-    gain: tuple[float, float],
+    final: tuple[float, float, float],
     *,
     integrates: bool,
 ) -> tuple[float, float]:
-    """Return the equivalent time, measured from the step, and its standard deviation, in s."""
+    """Return the equivalent time, measured from the step, and its standard deviation, in s.
+
+    `final` is the gain, its standard deviation, and that of the noise.
+    """
     settled = k >= (2 * k[-1]) // 3
     if integrates:
         n, parts = steps.pre // 2 + 1, list(data.experiments())
@@ -538,10 +594,10 @@ def _lag(
             before=(n, n * data.Ts),
             rounding=quantum(data) / float(np.linalg.norm(sizes)),
         )
-    value, std = gain
+    gain, gain_std, noise_std = final
     rising = (k >= 0) & ~settled
-    noise_std = float(np.nanstd(y[settled])) / abs(value)
-    return area_above(data.Ts * k[rising], y[rising] / value, noise_std, std / abs(value))
+    y = y[rising] / gain
+    return area_above(data.Ts * k[rising], y, noise_std / abs(gain), gain_std / abs(gain))
 
 
 def _alone(valid: Mask) -> Mask:
@@ -593,7 +649,7 @@ def _warnings(
         if np.isfinite(_process_numbers(process)["gain"]):
             text = (
                 f"{data.output} ends at {100 * process.end:.0f} % of its final value, so all "
-                f"numbers but the dead time rest on the {process.form} fit: hold u longer"
+                f"numbers rest on the {process.form} fit: hold u longer"
             )
         yield text
     elif process is None and (change > 0.04 + 4 * noise or rising > _MIN_RISING_SHARE):

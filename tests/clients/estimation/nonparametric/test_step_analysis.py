@@ -572,3 +572,75 @@ def test_a_response_that_is_no_process_has_not_its_numbers(length: float, known:
     assert found.form == ""
     assert any("has not settled" in w for w in found.warnings) is not known
     assert np.isnan(found.gain) or abs(found.gain - 1) < 4 * found.gain_std
+
+
+@pytest.mark.parametrize("at", [20, 150])
+def test_the_deviation_of_a_gain_contains_the_level_before_the_step(at: int) -> None:
+    """A zero at +1/3 makes the response none of a process; gain 1, noise 0.01."""
+    F = np.poly(np.exp([-0.025, -0.05]))
+    B = np.array([0.0, -0.0362, 0.0374])
+    B *= F.sum() / B.sum()
+    u = np.concatenate([np.full(at, 1.0), np.full(450, 3.0)])
+    y = apply_filter(B, F, u - 1)
+    seeds = range(20)
+
+    found = [
+        step_analysis(Dataset(u=u, y=y + 0.01 * _white(seed, u.size), Ts=0.1)) for seed in seeds
+    ]
+
+    errors = np.array([(step.gain - 1) / step.gain_std for step in found])
+    assert all(step.form == "" for step in found)
+    assert np.count_nonzero(np.abs(errors) > 1.96) <= 4
+    assert np.sqrt(np.mean(errors**2)) > 0.6
+
+
+@pytest.mark.parametrize("colour", [0.6, 0.9])
+def test_slow_noise_is_no_overshoot_and_widens_the_deviations(colour: float) -> None:
+    """P1D: gain 2, 5 s, dead time 0.7 s; of 12 records one or two may lie outside."""
+    outside, above = np.zeros(3), 0
+    for seed in range(12):
+        u = np.repeat([1.0, 3.0], [100, 500])
+        a, white = np.exp(-0.02), np.sqrt(1 - colour**2) * _white(seed, 1600)
+        y = apply_filter([*np.zeros(8), 2 * (1 - a)], [1, -a], u - 1)
+        y += 0.05 * apply_filter([1.0], [1, -colour], white)[1000:]
+
+        found = step_analysis(Dataset(u=u, y=y, Ts=0.1))
+
+        tau = found.tau if found.dead_time else found.tau - 0.35
+        errors = [
+            (found.gain - 2) / found.gain_std,
+            (tau - 5) / found.tau_std,
+            (found.settling - 5 * np.log(20) - 0.7) / found.settling_std,
+        ]
+        outside += np.abs(errors) > 1.96
+        above += "overshoot" in repr(found) and "no visible" not in repr(found)
+    assert (outside <= 2).all()
+    assert above <= 1
+
+
+def test_the_deviation_of_a_gain_contains_the_step_of_a_converter() -> None:
+    """Six steps between the same levels have the same error of rounding."""
+    levels = [0.0, 2.0, 0.0, 2.0, 0.0, 2.0, 0.0]
+    u = np.repeat(levels, [150, *[300] * 6])
+    y = apply_filter([0, 1.93 * (1 - np.exp(-0.02))], [1, -np.exp(-0.02)], u) + 20.1
+
+    found = step_analysis(Dataset(u=u, y=np.round(y / 0.5) * 0.5, Ts=0.1))
+
+    assert abs(found.gain - 1.93) < 1.96 * found.gain_std < 0.3
+    assert abs(found.equivalent_time - 5) < 1.96 * found.equivalent_time_std
+
+
+def test_a_fit_does_not_extrapolate_from_half_of_the_final_value() -> None:
+    """Three equal time constants look like P2D with a dead time until the record ends."""
+    u = np.repeat([1.0, 3.0], [50, 100])
+    F = np.poly(np.full(3, np.exp(-0.1 / 3)))
+    y = apply_filter([0, 2 * F.sum()], F, u - 1) + 0.01 * _white(1, 150)
+
+    found = step_analysis(Dataset(u=u, y=y, Ts=0.1))
+
+    assert np.isnan([found.gain, found.tau, found.settling]).all()
+    assert "gain not determined\n" in repr(found)
+
+
+def _white(seed: int, N: int) -> NDArray[np.float64]:
+    return np.random.default_rng(seed).standard_normal(N)
