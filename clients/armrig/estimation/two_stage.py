@@ -15,7 +15,6 @@ from armrig.data.columns import reference_of
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.merging import merge
 from armrig.data.step import TWO_STAGE, Step
-from armrig.estimation.data_faults import level_without_input
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error import with_integrator
 from armrig.estimation.request import estimator
@@ -48,7 +47,8 @@ def two_stage(
     The first stage is the regression of u on r, r(t - 1), … and a constant. The number of lags is
     twice that of least MDL, because lags that are left out bias the plant. The second stage
     estimates the plant from the predicted u, on which the noise has no effect. The noise model need
-    therefore not be right, unlike that of ARMAX or BJ.
+    therefore not be right, unlike that of ARMAX or BJ. A level of y is estimated, too, unless y
+    integrates or `offset` is False: the mean of slow noise would bias the plant.
 
     The covariance contains the errors of the first stage, and the correlation of these errors with
     the noise of y, which the controller carries into u. It is valid for noise of any colour.
@@ -121,15 +121,10 @@ def two_stage(
     residuals = np.split(first.without(u), np.cumsum([len(x) for x in Phi])[:-1])
     pairs = zip(parts, Phi, strict=True)
     excited = merge([part[count - 1 :].replaced(step=_STEP, u=x @ eta) for part, x in pairs])
-    fit = estimator(structure)(excited, **options)
+    integrates = options.get("integrator") or "I" in str(options.get("form", ""))
+    fit = estimator(structure)(excited, **{"offset": not integrates, **options})
     P = _covariance(fit, excited, references, first, residuals)
-    # The loop removes the slow noise from the second stage, but not its mean, which looks sure.
-    findings = fit.findings
-    if any(f.about == "level" for f in findings) and level_without_input(data) is None:
-        findings = tuple(f for f in findings if f.about != "level")
-    return replace(
-        fit, covariance=P, covariance_robust=P, free=(), digest=data.digest, findings=findings
-    )
+    return replace(fit, covariance=P, covariance_robust=P, free=(), digest=data.digest)
 
 
 def _lags(r: Array, count: int) -> Array:
