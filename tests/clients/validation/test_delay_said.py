@@ -28,7 +28,7 @@ def of_lags(p_values: Any, coefficient: Any, std: Any, answer: Any, first: int =
     arrays = [np.array(x, float) for x in (p_values, coefficient, std, answer)]
     return LagTests(
         first=first, p_values=arrays[0], p_without_one=arrays[0], coefficient=arrays[1],
-        std=arrays[2], loss=np.ones(len(p_values)), response=arrays[3], A=np.ones(1),
+        std=arrays[2], loss=np.ones(len(p_values)), responses=(arrays[3],), A=np.ones(1),
         effect=np.diag(1 / arrays[2]), N=100,
     )  # fmt: skip
 
@@ -93,6 +93,27 @@ def test_the_interval_of_a_dead_time_is_short_and_contains_the_truth() -> None:
 
     assert inside >= 19
     assert short >= 12  # 8 if each lag is tested alone
+
+
+@pytest.mark.parametrize("smooth", ["slew", "lag"])
+def test_a_smooth_input_shows_no_dead_time_that_is_not_there(smooth: str) -> None:
+    """Three poles respond slowly; later lags of a smooth input take the part of earlier ones."""
+    F = np.poly(np.exp([-0.1, -0.15, -0.2]))
+    wrong = 0
+    for seed in range(20):
+        rng = np.random.default_rng([87, seed])
+        u = np.repeat(rng.choice([0.0, 4.0], 40), 25)
+        if smooth == "lag":
+            u = apply_filter([0.1], [1, -0.9], u)
+        else:
+            for k in range(1, u.size):
+                u[k] = u[k - 1] + np.clip(u[k] - u[k - 1], -0.2, 0.2)
+        y = apply_filter([0.0, 1.0, 3.6, 0.8], F, u)
+        y += 0.02 * np.std(y) * rng.standard_normal(u.size)
+        first, last = delay(Dataset(u=u, y=y, Ts=0.1)).interval
+        wrong += not first <= 1 <= last
+
+    assert wrong <= 2
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,8 @@ _ROWS_PER_ORDER = 20  # samples for each a that is tried
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
 _MIN_OWN_ROUNDING = 10.0  # norm that determines a past output, in norms of the rounding errors
 _GROWTH = 3.0  # a first coefficient is at least 1/(1 + 3 n) of the coefficient n samples later
+_SMOOTH = 0.1  # share of a lag of u that the others leave unexplained, below which u is smooth
+_SMOOTH_ERROR = 0.35  # relative deviation of an onset predicted from later lags of a smooth u
 _ONSET = 2  # number of lags after the first significant lag that determine the slope of the onset
 _COEFFICIENTS_AFTER_FIRST = 40
 
@@ -75,8 +77,10 @@ class LagTests:
     """Standard deviation of `coefficient`, (n,)."""
     loss: Vector
     """Mean squared error of the model that begins at lag k, (n,)."""
-    response: Vector
-    """Impulse response, from lag 0 on, of the model that begins at the first significant lag."""
+    responses: tuple[Vector, ...]
+    """Impulse responses, from lag 0 on, of models that begin at the first significant lag, and, if
+    u is smooth, at each earlier lag. A smooth u lets later coefficients take the part of earlier
+    ones that a model lacks."""
     A: Vector
     """Polynomial A of that model, (na + 1,); 1 if the model is an impulse response."""
     effect: Vector
@@ -100,6 +104,11 @@ class LagTests:
         """True if no H_k is rejected."""
         return _first(self.p_without_one) == self.p_without_one.size
 
+    @property
+    def _error(self) -> float:
+        """Relative deviation of a predicted onset."""
+        return _SMOOTH_ERROR if len(self.responses) > 1 else 0.0
+
     def before(self, k: int) -> Before:
         """Test whether u may act first at lag k with a coefficient that is not significant.
 
@@ -107,8 +116,11 @@ class LagTests:
         """
         from scipy.special import ndtr
 
-        later = np.arange(self.shown, self.response.size)
-        least = float(np.max(np.abs(self.response[later]) / (1 + _GROWTH * (later - k))))
+        later = np.arange(self.shown, self.responses[0].size)
+        least = min(
+            float(np.max(np.abs(response[later]) / (1 + _GROWTH * (later - k))))
+            for response in self._responses(k)
+        )
         onset = self._smooth_onset(k)
         least = least if onset is None else min(least, abs(float(onset[0])))
         std = self.std[k - self.first]
@@ -117,8 +129,13 @@ class LagTests:
             k=k,
             found=float(size),
             predicted=float(predicted),
-            p_value=float(ndtr(size - predicted)),
+            p_value=float(ndtr((size - predicted) / np.hypot(1, self._error * predicted))),
         )
+
+    def _responses(self, k: int) -> tuple[Vector, ...]:
+        """Return the responses that may be that of a model whose u acts first at lag k."""
+        first, *earlier = self.responses
+        return (first, earlier[k - self.first]) if earlier else (first,)
 
     def _smooth_onset(self, k: int) -> Vector | None:
         """Return the response from lag k to the lag before `shown`, if it begins like n^d.
@@ -126,7 +143,12 @@ class LagTests:
         s(j) = c (j - k + 1)^d is the step response. d is the steepest slope of log s against
         log (j - k + 1) over the first significant lags. None if no smooth onset begins at k.
         """
-        s = np.cumsum(self.response[self.shown :])[: _ONSET + 1]
+        onsets = [self._onset_of(response, k) for response in self._responses(k)]
+        known = [onset for onset in onsets if onset is not None]
+        return min(known, key=lambda onset: abs(float(onset.sum())), default=None)
+
+    def _onset_of(self, response: Vector, k: int) -> Vector | None:
+        s = np.cumsum(response)[self.shown :][: _ONSET + 1]
         if k == 0 or s.size < 2 or not np.all(s):  # under a hold, none begins at 0
             return None
         lags = self.shown - k
@@ -150,7 +172,9 @@ class LagTests:
         mean = self.effect[lags, lags] @ apply_filter(self.A, np.ones(1), onset)
         size = float(np.linalg.norm(mean))
         z = self.coefficient[lags] / self.std[lags]
-        return float(ndtr(mean @ z / size - size)) if size > 0 else 1.0
+        if not size > 0:
+            return 1.0
+        return float(ndtr((mean @ z / size - size) / np.hypot(1, self._error * size)))
 
     def least(self) -> int:
         """Return the least lag that is not ruled out, searched downwards from `shown`."""
@@ -231,7 +255,11 @@ def _in_arx(blocks: list[Vector], most: int, lags: range, rounding: float) -> La
             piece[:, columns] / scale[columns] for b in blocks for piece in in_blocks(b, _BLOCK)
         )
         p_without_one = _joint(_least_without_one(rows, T, nb) / s**2, degrees)
-        A, response = _model(T, scale[columns], na, _first(p_without_one), lags.start)
+        shown = _first(p_without_one)
+        size = lags.start + shown + _COEFFICIENTS_AFTER_FIRST
+        A, response = _model(T, scale[columns], na, shown, lags.start, size)
+        earlier = range(shown if np.median(np.abs(diagonal[: shown + 1])) < _SMOOTH else 0)
+        responses = [_model(T, scale[columns], na, i, lags.start, size)[1] for i in earlier]
         return LagTests(
             first=lags.start,
             p_values=_joint(np.cumsum(t**2) / s**2, degrees),
@@ -239,7 +267,7 @@ def _in_arx(blocks: list[Vector], most: int, lags: range, rounding: float) -> La
             coefficient=t / diagonal * unit,
             std=s / np.abs(diagonal) * unit,
             loss=(left + np.append(0.0, np.cumsum(t**2)[:-1])) * scale[-1] ** 2 / N,
-            response=response,
+            responses=(response, *responses),
             A=A,
             effect=np.sign(diagonal)[:, None] * T[np.ix_(latest_first, latest_first)] / (s * unit),
             N=N,
@@ -259,12 +287,14 @@ def _first(p_values: Vector) -> int:
     return int(significant[0]) if significant.size else p_values.size
 
 
-def _model(T: Vector, scale: Vector, na: int, left_out: int, first: int) -> tuple[Vector, Vector]:
-    """Return A and the impulse response, from lag 0, of the model without the first lags of u."""
+def _model(
+    T: Vector, scale: Vector, na: int, left_out: int, first: int, size: int
+) -> tuple[Vector, Vector]:
+    """Return A and the impulse response (size,) of the model without the first lags of u."""
     d, k = T.shape[1] - 1 - left_out, first + left_out
     theta = np.linalg.solve(T[:d, :d], T[:d, -1]) * scale[-1] / scale[:d]
     A, B = np.append(1.0, theta[:na]), np.append(np.zeros(k), theta[na:][::-1])
-    return A, apply_filter(B, A, np.eye(1, k + _COEFFICIENTS_AFTER_FIRST)[0])
+    return A, apply_filter(B, A, np.eye(1, size)[0])
 
 
 def _triangle_of(R: Vector, columns: list[int]) -> Vector:
@@ -310,7 +340,7 @@ def _in_response(response: ImpulseResponse, first: int) -> LagTests:
         coefficient=std * score,
         std=std,
         loss=response.noise_variance * (1 + np.append(0.0, np.cumsum(score**2)[:-1]) / response.N),
-        response=g,
+        responses=(g,),
         A=np.ones(1),
         effect=whitening[first:, first:],
         N=response.N,
