@@ -79,8 +79,8 @@ class LagTests:
     """Mean squared error of the model that begins at lag k, (n,)."""
     responses: tuple[Vector, ...]
     """Impulse responses, from lag 0 on, of models that begin at the first significant lag, and, if
-    u is smooth, at each earlier lag. A smooth u lets later coefficients take the part of earlier
-    ones that a model lacks."""
+    u is smooth, at each earlier lag. With a smooth u, later coefficients take the part of earlier
+    coefficients."""
     A: Vector
     """Polynomial A of that model, (na + 1,); 1 if the model is an impulse response."""
     effect: Vector
