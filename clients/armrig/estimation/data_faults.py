@@ -20,6 +20,7 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rows_of_each_value
 from armrig.data.finding import Finding, warning
 from armrig.data.treatment import hampel, integrates_by_name, integrating
+from armrig.data.treatment.outliers import too_quiet
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.quantities import digits, join_names, percent, plural
 from armrig.numerics.regressors import unique_whitening, whitening
@@ -72,6 +73,8 @@ def data_faults(data: Dataset, residuals: Sequence[Vector], *, way_out: str) -> 
     if e.size < _MIN_RESIDUALS:
         return
     yield from _wrong_samples(data, e)
+    if text := too_quiet(data, float(np.mean(e**2))):
+        yield warning("converter", text)
     if way_out and _doubtful(residuals) and not integrates_by_name(data.output):
         level = level_without_input(data)
         if level and not integrating(data):

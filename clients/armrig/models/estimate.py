@@ -213,7 +213,8 @@ class Estimate:
     @property
     def trusts_coefficients(self) -> bool:
         """True if the standard deviations of the coefficients are valid."""
-        return not self.doubts
+        coarse = any(finding.about == "converter" for finding in self.findings)
+        return not self.doubts and not coarse
 
     @property
     def doubts(self) -> list[tuple[str, str]]:

@@ -16,6 +16,7 @@ from armrig.data.files.column_faults import rails_of
 from armrig.data.step import laws_of
 from armrig.data.treatment import hampel
 from armrig.data.treatment.integrating import pole_test
+from armrig.data.treatment.outliers import ENOUGH_NOISE, quantum
 from armrig.estimation.data_faults import CONSTANT_INPUT, looking_wrong, require_moving_output
 from armrig.estimation.orders import require_samples
 from armrig.numerics.polynomial import Array, apply_filter
@@ -73,6 +74,8 @@ _MAX_EFFECTS = 8  # combinations of effects that are tested jointly
 _MIN_OWN_SHARE = 1e-3  # least share of an effect that the linear model leaves unexplained
 _MAX_LEFT = 0.5  # share of y's variance that a simulation may leave; else x is the prediction
 _MOST_SAMPLES_OF_A_KIND = 20_000  # the kind is that of the first of more samples
+_SIMULATIONS, _FEW_SIMULATIONS = 19, 4  # linear rigs with the converter, of short and long data
+_LEAST_NOISE = 0.02  # least standard deviation of their noise, in steps of the converter
 _PLAY = 0.2  # half width of the tested play, in standard deviations
 
 
@@ -257,7 +260,9 @@ def _test_once(data: Signals, level: float, loop: OpenLoop | None) -> Linearity:
     if rails:
         numbers = {"at": rails[-1], "share": float(np.mean(at[channel.valid]))}
         kind = Nonlinearity(kind="saturation", numbers=numbers)
-    elif p < level:
+    elif p < level and (step := quantum(channel)):
+        p = _p_beyond_converter(data, model, step, p, first)
+    if not rails and p < level:
         long = data.N > _MOST_SAMPLES_OF_A_KIND
         kind = nonlinearity(_long_model(data[:_MOST_SAMPLES_OF_A_KIND], first) if long else model)
         slow = pole_test(data, 0)
@@ -285,6 +290,33 @@ def _test_once(data: Signals, level: float, loop: OpenLoop | None) -> Linearity:
         input=u,
         units={u: channel.input_unit, y: channel.unit},
     )
+
+
+def _p_beyond_converter(
+    data: Signals, model: LongModel, step: float, p: float, first: int
+) -> float:
+    """Return the p value p, less what the steps of a coarse converter of y explain.
+
+    The error of rounding follows from y, so that it looks nonlinear if the noise is smaller than
+    the step. The linear model is simulated with the noise and the converter. A share 1/(n + 1) of
+    n linear rigs has a p value below the least that comes, which replaces this share.
+    """
+    errors = model.arx.errors(model.y)
+    variance = float(np.mean(errors**2)) / float(np.sum(model.A**2)) - step**2 / 12
+    if variance > (ENOUGH_NOISE * step) ** 2:
+        return p
+    rng, std = np.random.default_rng(1), max(np.sqrt(max(variance, 0.0)), _LEAST_NOISE * step)
+    known = np.isfinite(data.y[:, 0])
+    phase = float(data.y[known, 0][0])
+    simulated = []
+    for _ in range(_SIMULATIONS if data.N <= _MOST_SAMPLES_OF_A_KIND else _FEW_SIMULATIONS):
+        # The model has the rounded levels of y: the true ones lie anywhere within a step.
+        low, wide = step * rng.uniform(-0.5, 0.5, 2)
+        y = model.x * (1 + wide / np.ptp(model.x)) + model.means["y"] + low
+        y += std * rng.standard_normal(data.N)
+        y = np.where(known, phase + step * np.round((y - phase) / step), np.nan)
+        simulated.append(_p_value(_long_model(data.replaced(step=None, y=y[:, None]), first)))
+    return min(1.0, p / (len(simulated) + 1) / max(min(simulated), 1e-300))
 
 
 def in_open_loop(data: Dataset | Signals, loop: OpenLoop | None = None) -> list[Linearity]:

@@ -320,7 +320,7 @@ def _process(best: OutputErrorFit, Ts: float) -> str:
     s, poles = best.structure, np.roots(np.append(1.0, best.f)).astype(np.complex128)
     with np.errstate(divide="ignore"):
         slowest = float(np.min(np.abs(np.log(poles)), initial=np.inf))
-    if not poles.size or slowest < _ROUNDING:  # a pole at 1 may be a slow one
+    if not _ROUNDING <= slowest < np.inf:  # a pole at 1 may be a slow one; 0 is none of a process
         return ""
     omega = slowest / Ts * np.geomspace(0.03, 0.1, 5)  # the gain is constant a decade below
     if abs(log_slope(omega, np.abs(best.G(omega, Ts))) + 20 * s.integrator) >= FLAT_SLOPE:
@@ -334,7 +334,7 @@ def _process(best: OutputErrorFit, Ts: float) -> str:
 
 def _zero_db(best: OutputErrorFit, poles: NDArray[np.complex128], low: float, Ts: float) -> float:
     """Return how far |G|, up to its fastest pole, is from that of the poles alone, in dB."""
-    s = np.log(poles) / Ts
+    s = np.log(poles[poles != 0]) / Ts
     omega = np.geomspace(low, max(min(np.abs(s).max(), 0.5 * np.pi / Ts), 2 * low), 60)
     shape = np.abs(best.G(omega, Ts)) * omega**best.structure.integrator
     shape *= np.prod(np.abs(1j * omega[:, None] - s), axis=1)

@@ -214,12 +214,16 @@ def test_the_converter_step_is_the_least_change_of_the_output(step: float) -> No
     assert quantum(data.replaced(step=None, y=np.ones(3000))) == 0.0
 
 
-def test_noise_is_too_quiet_below_a_third_of_a_step() -> None:
+def test_noise_is_too_quiet_below_a_third_of_a_step_of_a_resting_output() -> None:
     """The quantisation error has the variance step²/12."""
     step = 0.2
-    for share, told in ((0.1, "0.10 of the converter's step"), (0.31, "0.31"), (0.33, ""), (2, "")):
-        said = too_quiet(step, (share * step) ** 2 + step**2 / 12)
-        assert told in said
-        assert bool(said) == bool(told)
-    assert too_quiet(step, 0.0).startswith("the noise is 0.00 of the converter's step")
-    assert too_quiet(0.0, 1e-9) == ""
+    resting = Dataset(u=np.zeros(600), y=step * np.repeat(np.arange(200) % 7, 3), Ts=1.0)
+    moving = Dataset(u=np.zeros(600), y=step * (np.arange(600) % 7), Ts=1.0)
+    for share, told in ((0.0, "is 0.00 of"), (0.1, "is 0.10 of"), (0.31, "0.31"), (0.33, "")):
+        variance = (share * step) ** 2 + step**2 / 12
+        assert told in too_quiet(resting, variance)
+        assert bool(too_quiet(resting, variance)) == bool(told)
+        assert too_quiet(moving, variance) == ""
+    assert "rests in 66.8" in too_quiet(resting, 0.0)
+    noisy = np.random.default_rng(1).standard_normal(600)
+    assert too_quiet(resting.replaced(step=None, y=noisy), 1e-9) == ""

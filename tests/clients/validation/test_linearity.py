@@ -111,3 +111,36 @@ def test_data_without_noise_are_linear(seed: int) -> None:
     u = np.sign(np.random.default_rng(seed).standard_normal(400))
 
     assert armrig.linearity(armrig.Dataset(u=u, y=np.append(0.0, u[:-1]), Ts=0.01)).linear
+
+
+def _heated(seed: int, *, res: float, hold: int, top: float = np.inf) -> armrig.Dataset:
+    """Return the readings of a heater (5 K/V, 20 s) by a converter with steps of `res` K."""
+    rng, a = np.random.default_rng(seed), np.exp(-1 / 20)
+    u = np.repeat(rng.choice([0.0, 3.0], 1500 // hold), hold)
+    x = np.minimum(apply_filter([0, 5 * (1 - a)], [1, -a], u), top)
+    y = 22.2 + x + 0.05 * rng.standard_normal(1500)
+    return armrig.Dataset(u=u, y=np.round(y / res) * res, Ts=1.0, output="heat", unit="K")
+
+
+@pytest.mark.parametrize("hold", [60, 150])
+def test_a_coarse_converter_is_no_nonlinearity(hold: int) -> None:
+    """Without a simulation of the converter, 11 and 17 of 20 such records have p < 5 %."""
+    p = [armrig.linearity(_heated(seed, res=0.5, hold=hold)).p for seed in range(8)]
+
+    assert np.count_nonzero(np.array(p) < 0.05) <= 2
+
+
+def test_a_limit_is_found_through_a_coarse_converter() -> None:
+    found = [armrig.linearity(_heated(seed, res=0.5, hold=60, top=9.3)) for seed in range(4)]
+
+    assert not any(result.linear for result in found)
+    assert sum(result.sure for result in found) >= 3
+
+
+def test_a_coarse_converter_at_rest_is_doubted_in_the_deviations() -> None:
+    fit = armrig.process(_heated(1, res=0.5, hold=60), "P1", offset=True)
+    fine = armrig.process(_heated(1, res=0.01, hold=60), "P1", offset=True)
+
+    assert "trust neither std nor std_robust" in repr(fit)
+    assert "may be three times too small" in fit.warnings[0]
+    assert fine.warnings == ()

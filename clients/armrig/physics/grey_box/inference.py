@@ -10,7 +10,7 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.columns import Matrix, Vector
-from armrig.data.dataset import Signals
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.treatment.outliers import quantum, too_quiet
 from armrig.models.state_space import read_only_copy
 from armrig.numerics.curvature import curvature, doubts
@@ -106,7 +106,6 @@ def grey_fit(
     covariance, robust = embed(stats.covariance + added), embed(stats.covariance_robust + added)
     std, quality = _std_by_name(names, covariance), stats.quality[i]
     datasets = [data.dataset(name, data.inputs[0]) for name in data.outputs]
-    quanta = [quantum(output) for output in datasets]
     rounding = data.y.size * rounding_std(data.y / problem.std) ** 2
     converged = best.converged or best.cost <= rounding
     curved = 0.0 if best.cost <= rounding else _curvature(problem, z, free, stats)
@@ -153,7 +152,7 @@ def grey_fit(
         fit_percent=quality.fit_percent,
         whiteness=quality.white.p_value,
         whiteness_test=quality.white.test,
-        quantum=quanta[i],
+        quantum=quantum(datasets[i]),
         N=quality.N,
         Ts=datasets[i].Ts,
         converged=converged,
@@ -166,7 +165,7 @@ def grey_fit(
             *reasons,
             *worse,
             *physics.doubts(values, std, float(noise[i])),
-            *_noise_warnings(data.outputs, quanta, stats, has_friction=has_friction),
+            *_noise_warnings(datasets, stats, has_friction=has_friction),
         ),
         **datasets[i].origin() | {"digest": data.digest},
     )
@@ -242,13 +241,13 @@ def infer_coordinates(
 
 
 def _noise_warnings(
-    outputs: Sequence[str], steps: Sequence[float], stats: Inference, *, has_friction: bool
+    datasets: Sequence[Dataset], stats: Inference, *, has_friction: bool
 ) -> Iterator[str]:
-    """Yield warnings of noise below a third of a converter step, and of coloured residuals."""
+    """Yield warnings of a coarse converter, and of coloured residuals."""
     variances = np.diag(stats.noise_covariance).tolist()
-    for name, step, variance, quality in zip(outputs, steps, variances, stats.quality, strict=True):
-        of_output = f"{name}: " if len(outputs) > 1 else ""
-        if quiet := too_quiet(step, variance):
+    for data, variance, quality in zip(datasets, variances, stats.quality, strict=True):
+        of_output = f"{data.output}: " if len(datasets) > 1 else ""
+        if quiet := too_quiet(data, variance):
             yield f"{of_output}{quiet}"
         if quality.white.coloured:
             perhaps = "" if has_friction else " (friction?)"
