@@ -127,11 +127,17 @@ def _write(
 ) -> tuple[str, Path]:
     """Write a new file, by default in the folder of the recordings; return the run's id, and it."""
     from armrig.data.files.imported_file import write_imported
+    from armrig.data.files.loading import MOST_BYTES
     from armrig.recordings.files.recording_names import recording_folder
 
     now = datetime.now(UTC).astimezone()
     started = now.isoformat(timespec="milliseconds")
     run_id, content = write_imported(data, name=name, started=started, armrig=version("armrig"))
+    if len(content) > MOST_BYTES:
+        raise InputError(
+            f"the recording would have {len(content) >> 20} MiB, and at most {MOST_BYTES >> 20} "
+            "MiB can be read: name the columns that you need (--input, --signal), or cut the file"
+        )
     if out is None:
         out = recording_folder() / f"{IMPORTED}-{name}-{now.strftime(_STAMP)}-{run_id}.mcap"
     else:
@@ -182,7 +188,8 @@ def import_rows(
             yield role, ", ".join(columns)
     missing = f", {data.size - rows} missing" if data.size > rows else ""
     breaks = f", in {plural(len(facts.breaks) + 1, 'experiment')}" if facts.breaks else ""
-    clock = f", by the times in {facts.clock}" if facts.clock else ""
+    is_given = "Ts" in facts.options
+    clock = f", by the times in {facts.clock}" if facts.clock and not is_given else ""
     yield "samples", f"{rows} at {data.Ts:g} s{missing}{breaks}{clock}"
     without = np.count_nonzero(np.isnan(data.values), axis=0)
     empty = [f"{c.name} in {n}" for c, n in zip(facts.columns, without, strict=True) if n]

@@ -170,8 +170,11 @@ class Terminal(EmulatedLine):
 
     def offer(self, port: Path, stack: ExitStack) -> None:
         """Create the link `port` to the terminal; replace an earlier emulator's link atomically."""
-        if port.exists() and not port.is_symlink():
-            raise OperationError(f"{port}: exists and is not a link; choose another --port")
+        is_link = port.is_symlink()
+        if (port.exists() or is_link) and not (
+            is_link and port.readlink().parent == self.slave.parent
+        ):
+            raise OperationError(f"{port}: exists and is no emulator's link; choose another --port")
         fresh = port.with_name(f"{port.name}.{os.getpid()}")
         fresh.symlink_to(self.slave)
         fresh.replace(port)

@@ -12,9 +12,11 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
+from armrig.data.files import loading
 from armrig.data.files.imported_file import ImportedData, read_imported, write_imported
 from armrig.recordings.files import imports
 from armrig.recordings.files.imports import load_import, name_of_import
+from armrig_core.errors import FileError
 from armrig_core.recording_file.manifest import OUTCOME
 from msgspec.structs import replace
 
@@ -285,3 +287,26 @@ def test_an_import_without_an_outcome_is_reported_as_damaged(
 
     assert main(["report", str(lamp), "-o", "lamp.pdf"]) == 1
     assert "is damaged (it has no outcome)" in capsys.readouterr().err
+
+
+def test_a_recording_too_large_to_be_read_is_not_written(
+    lamp: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = sorted(lamp.parent.iterdir())
+    monkeypatch.setattr(loading, "MOST_BYTES", 1000)
+
+    assert main(["import", "lamp.csv", "--name", "large"]) == 1
+
+    assert "name the columns that you need" in capsys.readouterr().err
+    assert sorted(lamp.parent.iterdir()) == before
+
+
+def test_python_says_how_a_recording_of_unknown_columns_is_read(
+    lamp: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["import", "lamp.csv", "--name", "open"]) == 0
+
+    with pytest.raises(FileError, match="which of power and temp are the input and the one or two"):
+        armrig.load("@open")
+    with pytest.raises(FileError, match=r"is the name of a recording: use armrig.load\('@lamp'\)"):
+        armrig.load_data("@lamp")

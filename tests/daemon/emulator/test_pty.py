@@ -167,16 +167,24 @@ def test_a_stale_link_is_replaced(tmp_path: Path) -> None:
     assert running.stop() == 0
 
 
-def test_a_regular_file_is_not_replaced(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("mine")
+@pytest.mark.parametrize("kind", ["file", "link to a file", "link to nothing"])
+def test_only_an_emulator_s_link_is_replaced(kind: str, tmp_path: Path) -> None:
+    port, mine = tmp_path / "port", tmp_path / "mine"
+    mine.write_text("mine")
+    if kind == "file":
+        mine.rename(port)
+    else:
+        port.symlink_to(mine if kind == "link to a file" else tmp_path / "nothing")
+    before = port.is_symlink() and port.readlink()
 
     with (
         ExitStack() as stack,
-        pytest.raises(OperationError, match=r"file: exists and is not a link; choose another"),
+        pytest.raises(OperationError, match=r"port: exists and is no emulator's link; choose"),
     ):
-        Terminal(stack).offer(tmp_path / "file", stack)
+        Terminal(stack).offer(port, stack)
 
-    assert (tmp_path / "file").read_text() == "mine"
+    assert (port.is_symlink() and port.readlink()) == before
+    assert mine.exists() or port.read_text() == "mine"
 
 
 @pytest.mark.parametrize("then", [EPOLLIN, EPOLLOUT, EPOLLIN | EPOLLOUT])

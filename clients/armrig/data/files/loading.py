@@ -206,6 +206,10 @@ def naming_file(path: Path) -> Iterator[None]:
         text = str(err).replace("FILE", quote(str(path)))  # in a command that converts the file
         raise FileError(f"{path}: {text}") from err
     except OSError as err:
+        if err.errno == errno.ENOENT and str(path).startswith("@"):
+            raise FileError(
+                f"{path}: is the name of a recording: use armrig.load({str(path)!r})"
+            ) from err
         if err.errno != errno.EFBIG:
             raise
         msg = f"{path}: has more than {MOST_BYTES >> 20} MiB; cut it into several files"

@@ -18,7 +18,7 @@ from armrig_core.rig.description import Description, Input, Output, RigTable
 from armrig.data.files import IMPORTED
 from armrig.data.files.imported_file import Import, ImportedData, import_in, read_imported
 from armrig.data.files.loading import MOST_BYTES, naming_file
-from armrig.numerics.quantities import plural
+from armrig.numerics.quantities import join_names
 from armrig.recordings.files.catalogue import newest_first
 from armrig.recordings.files.recording_names import NoSuchRecordingError, name_of, recording_folder
 from armrig.recordings.files.recording_summary import read_metadata
@@ -62,9 +62,8 @@ def recording_of(path: Path, name: str, data: ImportedData) -> Recording:
     inputs, outputs = data.facts.roles()
     if len(inputs) != 1 or not 1 <= len(outputs) <= MAX_CHANNELS:
         raise FileError(
-            f"{path}: has {plural(len(inputs), 'input')} and {plural(len(outputs), 'output')}, but "
-            "one input and one or two outputs are needed here; import the file again with "
-            "--input NAME --signal NAME"
+            f"{path}: which of {join_names([*units])} are the input and the one or two outputs? "
+            "Import the file again with --input NAME --signal NAME"
         )
     description = Description(
         rig=RigTable(name=IMPORTED, title=", ".join(s.name for s in data.facts.sources)[:60]),
