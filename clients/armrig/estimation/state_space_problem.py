@@ -36,6 +36,7 @@ from armrig.numerics.covariance import whitening
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
+from armrig.numerics.quantities import plural
 from armrig.numerics.recursion import in_observer_form, outputs, recursion, responses
 
 _MAX_MODULUS = 1 - 1e-7  # largest modulus of an eigenvalue of Abar in a search
@@ -307,7 +308,8 @@ def experiments_with_response(data: Signals, delays: tuple[int, ...]) -> Signals
     experiments, first = [*data.experiments()], max(max(delays) - 1, 0)
     kept = [i for i, part in enumerate(experiments) if first < part.N]
     if not kept:
-        raise InputError(f"nk={max(delays)}: no experiment has more than {first} samples; lower nk")
+        longest = plural(first, "sample")
+        raise InputError(f"nk={max(delays)}: no experiment has more than {longest}; lower nk")
     return data if len(kept) == len(experiments) else data.select(*kept)
 
 

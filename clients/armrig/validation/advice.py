@@ -450,9 +450,12 @@ def _about_drift(data: Dataset) -> Iterator[Finding]:
         lines = drift(data, integrator=False)
         for i, line in enumerate(lines, 1):
             name = "drift" if len(lines) == 1 else f"drift {i}"
-            drifts = abs(line.z) > BAND_99_PERCENT
+            drifts, changes = abs(line.z) > BAND_99_PERCENT, line.change_s is not None
             remedy = "; remove it, detrend(data, order=1)" if drifts else ""
-            yield (warning if drifts else good)(name, f"{line}{remedy}")
+            if line.change_s is not None:
+                at = data.starts[i - 1] + round(line.change_s / data.Ts)
+                remedy = f"; a model of one part needs data[:{at}] or data[{at}:]"
+            yield (warning if drifts or changes else good)(name, f"{line}{remedy}")
 
 
 def about_feedback(tests: Tested) -> list[Finding]:

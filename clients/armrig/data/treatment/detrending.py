@@ -16,6 +16,7 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.experiments import Trend
 from armrig.data.step import LINE, MEAN, Step
 from armrig.data.treatment.integrating import IntegratingOutputWarning, integrating
+from armrig.data.treatment.level_change import level_change
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.quantities import digits, plural
 from armrig.numerics.regressors import unique_whitening
@@ -207,6 +208,9 @@ class Drift:
     """Unit of the output."""
     output: str = "y"
     """Name of the output."""
+    change_s: float | None = None
+    """Time in the experiment, in s, at which the level of the output changes for good, as by a
+    load; the drift is then that of the longer part. None without such a change."""
 
     @property
     def z(self) -> float:
@@ -216,6 +220,9 @@ class Drift:
     def __str__(self) -> str:
         """Describe the drift in one line."""
         verdict = "a drift" if abs(self.z) > 2.58 else "no significant drift"
+        if self.change_s is not None:
+            change = f"the level of {self.output} changes at {self.change_s:g} s, as by a load"
+            verdict = f"{change}; {verdict} in the longer part"
         return (
             f"{verdict}: {digits(self.rate, 3)} ± {digits(self.std, 2)} {self.unit or '1'}/s, "
             f"{f'{digits(self.rate * self.seconds, 3)} {self.unit}'.rstrip()} in {self.seconds:g} s"
@@ -284,6 +291,12 @@ def _drift_of(part: Signals, i: int, n: int) -> Drift:
             f"needs {needed}: lower the order"
         )
     model = unique_whitening([(part.u, y)], n, slope=True)
+    change_s = None
+    if model.rows >= needed - n and (at := level_change(part.u, y)) is not None:
+        change_s = at * part.Ts
+        longer = slice(at, None) if 2 * at < part.N else slice(0, at)
+        part, y = part[longer], y[longer]
+        model = unique_whitening([(part.u, y)], n, slope=True)
     if model.rows < needed - n:
         raise InputError(
             f"an experiment has {plural(model.rows, 'sample')} after {plural(n, 'sample')} without "
@@ -305,4 +318,5 @@ def _drift_of(part: Signals, i: int, n: int) -> Drift:
         seconds=part.N * Ts,
         unit=part.units[i],
         output=part.outputs[i],
+        change_s=change_s,
     )

@@ -262,7 +262,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     # Slow noise may look like the begin of the response, and hide a dead time.
     low, high = answer.dead_time_interval
     unseen = 0.0
-    if process is None and is_coloured and not L:
+    if process is None and not integrates and is_coloured and not L:
         unseen = float(answer.t[np.argmax(answer.y > _SEEN * noise_std / abs(gain))])
         high = max(high, unseen)
     notes = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, OfDataset, labels
 from armrig.data.step import laws_of, laws_text
+from armrig.data.treatment.level_change import level_change
 from armrig.estimation.data_faults import require_moving_output
 from armrig.numerics.quantities import digits, p_relation, percent
 from armrig.plots.layout import plot_method
@@ -202,6 +204,13 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
         remarks = (str(err),)
     if test is not None and test.p_value < level and (exact or not laws):
         remarks = _remarks(test, level, exact=exact)
+        if not exact and (parted := _parted(data)) is not None:
+            with suppress(InputError):
+                test = sims(parted)
+                text = f"the level of {data.output} changes at {parted.starts[1] * data.Ts:g} s, "
+                remarks = (f"{text}as by a load, so the parts before and after it were tested",)
+                if test.p_value < level:
+                    remarks += _remarks(test, level, exact=exact)
     return OpenLoop(
         feedback=bool(laws) or (None if test is None else test.p_value < level),
         p_value=float("nan") if test is None else test.p_value,
@@ -213,6 +222,12 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
         laws=laws,
         **labels(data),
     )
+
+
+def _parted(data: Dataset) -> Dataset | None:
+    """Return one experiment as two, before and after a change of level; None without a change."""
+    at = level_change(data.u[:, None], data.y) if len(data.starts) == 1 else None
+    return None if at is None else data.replaced(step=None, starts=(0, at))
 
 
 def _is_exact(data: Dataset) -> bool:
