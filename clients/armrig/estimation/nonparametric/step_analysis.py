@@ -77,7 +77,7 @@ class StepAnalysis(OfDataset):
     time_constants_std: tuple[float, ...]
     """Standard deviations of `time_constants`, in s."""
     dead_time: float
-    """Dead time in s; 0.0 if there may be none: without `form`, at a probability of 1 % or more."""
+    """Dead time in s; 0.0 if there may be none, or if the record ends too early to tell."""
     dead_time_interval: tuple[float, float]
     """95 % interval of the dead time in s, which contains `dead_time`."""
     tau: float
@@ -128,7 +128,8 @@ class StepAnalysis(OfDataset):
             angle = next((output for output, rate in RATES.items() if rate == name), "")
             name = f"the rate of {angle}" if angle else f"the {name}"
         unit = f"{self.unit or '1'}/{self.input_unit or '1'}".replace("1/1", "")
-        dead_time = f"{self.dead_time:.4g} s" if self.dead_time or self.form else _UNKNOWN
+        is_known = self.dead_time or (self.form and not np.isnan(self.gain))
+        dead_time = f"{self.dead_time:.4g} s" if is_known else _UNKNOWN
         gain = f"{with_std(self.gain, self.gain_std)} {unit}".rstrip()
         if np.isnan(self.gain):
             least, most = self.gain_interval
@@ -265,6 +266,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     if process is None and not integrates and is_coloured and not L:
         unseen = float(answer.t[np.argmax(answer.y > _SEEN * noise_std / abs(gain))])
         high = max(high, unseen)
+    if process is not None and process.form == "P2D" and process.end < _LEAST_END:
+        L = low = 0.0  # until then, a third time constant looks like a dead time
     notes = (
         *decided.notes,
         *(_warnings(tail / gain, unsettled / gain, answer, hidden, data, process, rising)),

@@ -640,6 +640,7 @@ def test_a_fit_does_not_extrapolate_from_half_of_the_final_value() -> None:
 
     assert np.isnan([found.gain, found.tau, found.settling]).all()
     assert "gain not determined\n" in repr(found)
+    assert "dead time not determined (95 %: 0 …" in repr(found)
 
 
 def _white(seed: int, N: int) -> NDArray[np.float64]:
