@@ -77,7 +77,7 @@ class StepAnalysis(OfDataset):
     time_constants_std: tuple[float, ...]
     """Standard deviations of `time_constants`, in s."""
     dead_time: float
-    """Dead time in s; 0.0 if there may be none, or if the record ends too early to tell."""
+    """Dead time in s; 0.0 if there may be none, or if the record ends too early to show it."""
     dead_time_interval: tuple[float, float]
     """95 % interval of the dead time in s, which contains `dead_time`."""
     tau: float
