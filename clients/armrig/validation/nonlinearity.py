@@ -207,7 +207,10 @@ def _gains(fit: _EffectModel) -> Nonlinearity:
     name = "u" if effect.of == "u" else "y"
     if name == "y":  # the constant of the model contains the mean of the effect
         level = level + np.mean((model.y - level)[rows])
-    levels = np.array([np.mean(level[rows][part == k]) for k in range(_PARTS)]) + model.means[name]
+    counts = np.bincount(part, minlength=_PARTS)[:_PARTS]
+    near &= counts > 0  # many equal levels leave a part empty
+    sums = np.bincount(part, level[rows], minlength=_PARTS)[:_PARTS]
+    levels = sums / np.maximum(counts, 1) + model.means[name]
     levels, gains = levels[near], gains[near]
     numbers: dict[str, float] = {}
     if gains.size > 1:

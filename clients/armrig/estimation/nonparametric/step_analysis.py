@@ -235,7 +235,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     tail = y[k >= (2 * k[-1]) // 3]
     tail = tail[np.isfinite(tail)]
     gain = float(np.mean(tail)) if tail.size else float("nan")
-    noise_std, gain_std, is_coloured = _tail_noise(tail, data, steps)
+    noise_std, gain_std, is_coloured = _tail_noise(tail, data, steps, rate=integrates)
     tail_std = float(np.std(tail) / np.sqrt(max(tail.size, 1)))
     if not abs(gain) > 4 * max(tail_std, rounding_std(y)):
         raise InputError(
@@ -324,11 +324,14 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     )
 
 
-def _tail_noise(tail: Vector, data: Dataset, steps: _Steps) -> tuple[float, float, bool]:
+def _tail_noise(
+    tail: Vector, data: Dataset, steps: _Steps, *, rate: bool
+) -> tuple[float, float, bool]:
     """Return deviations by the noise of the settled response, and whether it is coloured.
 
     The deviations are those of a sample and of the gain, in units of y per unit of u. Coloured
-    noise counts as white noise of the same spectrum at low frequencies.
+    noise counts as white noise of the same spectrum at low frequencies. In a mean of a rate, only
+    the noise of the first and the last value of the integrating output remains.
     """
     n, x = tail.size, np.linspace(-1.0, 1.0, tail.size)
     e = tail - np.polyval(np.polyfit(x, tail, 1), x) if n > 2 else np.zeros(n)
@@ -340,9 +343,10 @@ def _tail_noise(tail: Vector, data: Dataset, steps: _Steps) -> tuple[float, floa
     parts = list(data.experiments())
     sizes = np.array([parts[i].u[at] - parts[i].u[at - 1] for i, at in steps.at])
     # An error of rounding is the same in all samples at rest, and in all steps between two levels.
-    q = _converter_step(data) / float(np.sqrt(np.mean(sizes**2)))
+    q = 0.0 if rate else _converter_step(data) / float(np.sqrt(np.mean(sizes**2)))
     rounded = variance * sizes.size - q**2 / 12 < (ENOUGH_NOISE * q) ** 2
-    of_means = variance * (1 / max(n, 1) + 1 / (steps.pre // 2 + 1))
+    power = 1 if near > 0 or not rate else 2
+    of_means = variance * (max(n, 1) ** -power + (steps.pre // 2 + 1) ** -power)
     gain_std = float(np.sqrt(of_means + rounded * q**2 / 6))
     return float(np.sqrt(variance)), gain_std, near > 0
 

@@ -594,6 +594,20 @@ def test_the_deviation_of_a_gain_contains_the_level_before_the_step(at: int) -> 
     assert np.sqrt(np.mean(errors**2)) > 0.6
 
 
+@pytest.mark.parametrize(("N", "at"), [(300, 50), (800, 200)])
+def test_the_deviation_of_a_rate_is_that_of_the_angle_s_ends(N: int, at: int) -> None:
+    """The noise of the angle is white, so that the errors of successive rates cancel."""
+    u, a = np.repeat([1.0, 3.0], [at, N - at]), np.exp(-0.01 / 0.08)
+    rate = apply_filter([0, GAIN * (1 - a)], [1, -a], u - 1) + GAIN
+    errors = []
+    for seed in range(20):
+        angle = 0.01 * np.cumsum(rate) + 0.003 * _white(seed, N)
+        found = step_analysis(Dataset(u=u, y=angle, Ts=0.01), integrator=True)
+        errors.append((found.gain - GAIN) / found.gain_std)
+
+    assert 0.6 < np.sqrt(np.mean(np.square(errors))) < 1.6
+
+
 @pytest.mark.parametrize("colour", [0.6, 0.9])
 def test_slow_noise_is_no_overshoot_and_widens_the_deviations(colour: float) -> None:
     """P1D: gain 2, 5 s, dead time 0.7 s; of 12 records one or two may lie outside."""
