@@ -209,8 +209,8 @@ def _gains(fit: _EffectModel) -> Nonlinearity:
         level = level + np.mean((model.y - level)[rows])
     counts = np.bincount(part, minlength=_PARTS)[:_PARTS]
     near &= counts > 0  # many equal levels leave a part empty
-    sums = np.bincount(part, level[rows], minlength=_PARTS)[:_PARTS]
-    levels = sums / np.maximum(counts, 1) + model.means[name]
+    totals = np.bincount(part, level[rows], minlength=_PARTS)[:_PARTS]
+    levels = totals / np.maximum(counts, 1) + model.means[name]
     levels, gains = levels[near], gains[near]
     numbers: dict[str, float] = {}
     if gains.size > 1:

@@ -65,3 +65,17 @@ def test_feedback_is_found_on_both_sides_of_a_load() -> None:
         u[t] = 1.5 * (r[t] - y[t])
 
     assert armrig.open_loop(armrig.Dataset(u=u, y=y, Ts=0.2)).feedback
+
+
+def test_a_quarter_with_another_gain_is_no_feedback() -> None:
+    """The plant is linear in three parts of four; the input depends on nothing."""
+    found = 0
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        u = np.concatenate([np.repeat(rng.uniform(0, 2, 75), 20), rng.uniform(0, 2, 500)])
+        x = apply_filter([0.0, 0.1], [1.0, -0.9], u)
+        y = np.where(np.arange(2000) < 1500, x, np.tanh(6 * (x - 1)))
+        y += 0.01 * rng.standard_normal(2000)
+        found += bool(armrig.open_loop(armrig.Dataset(u=u, y=y, Ts=1.0)).feedback)
+
+    assert found <= 1
