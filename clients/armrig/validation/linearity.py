@@ -26,6 +26,7 @@ from armrig.numerics.rounding import rounding_std
 from armrig.numerics.whiteness import effects_p_value
 from armrig.plots.layout import plot_method
 from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_channel
+from armrig.validation.feedback_and_delay.delay import is_narrow
 from armrig.validation.feedback_and_delay.open_loop import (
     CHANCE_LEVEL,
     EXACT,
@@ -106,6 +107,9 @@ class Linearity:
     A gain with a deviation above 10 %, or far from that of the linear model, is left out."""
     remarks: tuple[str, ...]
     """Limits of the answer."""
+    narrow: bool = False
+    """True if the band of u is too narrow to determine a long linear model. Slow modes that the
+    model lacks then look nonlinear."""
     closed: bool
     """True if feedback or a direct term is found with p < 0.1 %, so that u(t) may contain e(t).
     False under a known control law, whose u(t) depends on y(t - 1) and earlier."""
@@ -140,8 +144,8 @@ class Linearity:
 
     @property
     def sure(self) -> bool:
-        """True if the rig is nonlinear with p < 0.1 %, or reaches a limit."""
-        return not self.linear and (self.p < CHANCE_LEVEL or bool(self.rails))
+        """True if the rig is nonlinear with p < 0.1 % in a wide band, or reaches a limit."""
+        return bool(self.rails) or (not self.linear and self.p < CHANCE_LEVEL and not self.narrow)
 
     @property
     def line(self) -> str:
@@ -149,6 +153,9 @@ class Linearity:
         text = f"{self.reason} (p {p_relation(self.p)}, level {100 * self.level:g} %)"
         if self.linear:
             return text
+        if not self.sure and self.narrow:
+            why = f"the band of {self.input} is narrow, and a longer linear model may explain"
+            return f"perhaps nonlinear: {text}; {why} {self.output}: record a telegraph or noise"
         if not self.sure:
             chance = f"one linear rig in {1 / self.level:.0f} has such a p by chance"
             return f"perhaps nonlinear: {text}; {chance}: record again"
@@ -285,6 +292,7 @@ def _test_once(data: Signals, level: float, loop: OpenLoop | None) -> Linearity:
         gains=kind.gains,
         rails=tuple(rails),
         remarks=tuple(remarks),
+        narrow=is_narrow(channel),
         closed=together,
         output=y,
         input=u,

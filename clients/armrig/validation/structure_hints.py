@@ -30,6 +30,7 @@ from armrig.numerics.quantities import digits, join_names, minus, plural
 from armrig.plots.layout import plot_method
 from armrig.validation.advice import about_feedback, poor_input, preliminary_tests, without_others
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
+from armrig.validation.feedback_and_delay.delay import is_narrow
 from armrig.validation.feedback_and_delay.delay_result import Delay, first_lag
 from armrig.validation.feedback_and_delay.open_loop import EXACT
 from armrig.validation.model_search import cross_validation_errors
@@ -48,6 +49,8 @@ PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
 LAGS = (100, 200, 400)  # numbers of lags of the impulse response, tried until one is large enough
 AGREED_SLOPE = 3.0  # largest difference from the slope of the first structure, in dB a decade
 _ROUNDING = 1e-9  # 1/sample; a slower pole counts as a pole at 1
+_NARROW = "the band of u is narrow, so the orders and the delay are hardly determined"
+_LEAST_DECAYS = 5  # time constants of a record in which the slowest pole is none at 1
 _ZERO_DB = 3.0  # least change of |G| by a zero, up to the fastest pole
 FLAT_SLOPE = 5.0  # largest slope of a gain that counts as constant, in dB a decade
 
@@ -58,6 +61,8 @@ class StructureHints:
 
     doubts: tuple[Finding, ...]
     """Feedback with p < 0.1 %."""
+    narrow: bool
+    """True if the band of u is too narrow to determine the orders and the delay."""
     structures: tuple[Recommended, ...]
     """At most three structures, best first."""
     integrator: bool
@@ -239,9 +244,10 @@ def structure_hints(
     seen = late is not None and late.interval[0] <= nk <= late.interval[1]
     return StructureHints(
         doubts=tuple(about_feedback(tests)) if tests.together else (),
+        narrow=is_narrow(data),
         structures=tuple(model.structure for model in models),
         integrator=integrates,
-        integrator_shown=is_clear,
+        integrator_shown=is_clear and (integrates or _slowest(best) < data.N / _LEAST_DECAYS),
         low_slope=_confirm_slope(slope - 20, best, low, data.Ts),
         process="" if dips else _process(best, data.Ts),
         high_slope=_confirm_slope(fall, best, high, data.Ts),
@@ -341,6 +347,13 @@ def _zero_db(best: OutputErrorFit, poles: NDArray[np.complex128], low: float, Ts
     return float(np.ptp(20 * np.log10(shape)))
 
 
+def _slowest(best: OutputErrorFit) -> float:
+    """Return the longest time constant of a model in samples; inf with a pole at 1 or beyond."""
+    sizes = np.abs(np.roots(np.append(1.0, best.f)))
+    with np.errstate(divide="ignore"):
+        return float(np.max(-1 / np.log(sizes), initial=0.0)) if np.all(sizes < 1) else np.inf
+
+
 def _extremes(best: OutputErrorFit, omega: Vector, Ts: float) -> list[tuple[float, ...]]:
     """Return the frequencies of peaks and of dips of |G|, of the rate if y integrates."""
     from scipy.signal import find_peaks
@@ -396,6 +409,8 @@ def call_of_all(hints: Mapping[Name, StructureHints]) -> str:
 
 def _findings(h: StructureHints) -> Iterator[Finding]:
     yield from h.doubts
+    if h.narrow:
+        yield warning("excitation", _NARROW)
     if h.excitation < (needed := h.nb + h.nf):
         many = f"this structure has {plural(needed, 'parameter')}"
         yield warning("excitation", poor_input(h.excitation, many))

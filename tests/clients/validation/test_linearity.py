@@ -144,3 +144,18 @@ def test_a_coarse_converter_at_rest_is_doubted_in_the_deviations() -> None:
     assert "trust neither std nor std_robust" in repr(fit)
     assert "may be three times too small" in fit.warnings[0]
     assert fine.warnings == ()
+
+
+def test_a_narrow_band_makes_no_nonlinearity_sure() -> None:
+    """A slow chirp and modes of little damping, more than a long linear model has."""
+    u = np.sin(2e-4 * np.arange(1500) ** 2 / 2)
+    poles = [r * np.exp(1j * w) for r, w in ((0.999, 0.11), (0.998, 0.17), (0.998, 0.24))]
+    F = np.real(np.poly([*poles, *np.conj(poles)]))
+    y = apply_filter([0.0, F.sum()], F, u) + 1e-6 * np.random.default_rng(1).standard_normal(1500)
+    data = armrig.Dataset(u=u, y=y, Ts=1.0)
+
+    found = armrig.linearity(data)
+
+    assert found.narrow
+    assert not found.sure
+    assert armrig.linearity(data.replaced(step=None, u=np.sign(u))).narrow is False

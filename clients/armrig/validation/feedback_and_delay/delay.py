@@ -294,6 +294,16 @@ def _least_nk_by_steps(
     ]
 
 
+def is_narrow(data: Dataset) -> bool:
+    """Return whether the band of u is too narrow for a long linear model."""
+    most = min(_MIN_DETERMINED_LAGS, *(experiment.N // 2 for experiment in data.experiments()))
+    try:
+        count_determined_lags(data, most)
+    except InputError:
+        return True
+    return False
+
+
 def count_determined_lags(data: Dataset, most: int) -> int:
     """Return the number of lags of u, from lag 0 on, whose coefficients the data determine.
 

@@ -32,7 +32,8 @@ _MAX_SHOWN_F = 1e6
 _PARTS, _LEAST_PARTED = 4, 600  # parts of a record, and samples from which they are tested
 _GOOD_SHARE = 0.1  # of the logarithm of the p value of the whole, that of a part
 _NOT_WITHIN_PARTS = (
-    "the whole looks like feedback, but most of its four parts do not: the gain may change with the level"
+    "the whole looks like feedback, but most of its four parts do not: the gain may change with "
+    "the level"
 )
 
 
