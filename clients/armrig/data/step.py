@@ -14,6 +14,8 @@ DOUBT = "doubt"
 """Code of a step that may be a misreading of a file, or that names a fault of its data."""
 OTHER_INPUTS = "inputs"
 """Code of a step that names columns that switch like an input, and are not in the data."""
+OTHER_COLUMNS = "columns"
+"""Code of a step that counts columns of changing numbers that are not in the data."""
 
 CONTROLLED = "controlled"
 """First word of the code of a step that names the law of a run; the law's SHA-256 follows."""

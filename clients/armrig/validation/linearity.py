@@ -13,7 +13,7 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
-from armrig.data.step import laws_of
+from armrig.data.step import OTHER_COLUMNS, OTHER_INPUTS, codes_of, laws_of
 from armrig.data.treatment import hampel
 from armrig.data.treatment.integrating import pole_test
 from armrig.data.treatment.outliers import ENOUGH_NOISE, quantum
@@ -110,6 +110,8 @@ class Linearity:
     narrow: bool = False
     """True if the band of u is too narrow to determine a long linear model. Slow modes that the
     model lacks then look nonlinear."""
+    others: bool = False
+    """True if the file has other columns that change, which may be inputs, too."""
     closed: bool
     """True if feedback or a direct term is found with p < 0.1 %, so that u(t) may contain e(t).
     False under a known control law, whose u(t) depends on y(t - 1) and earlier."""
@@ -159,8 +161,10 @@ class Linearity:
         if not self.sure:
             chance = f"one linear rig in {1 / self.level:.0f} has such a p by chance"
             return f"perhaps nonlinear: {text}; {chance}: record again"
-        unless = f", unless a controller computed {self.input} from {self.output}"
-        return f"NONLINEAR{unless if self.closed else ''}: {text}; {self.remedy}"
+        causes = [f"a controller computed {self.input} from {self.output}"] * self.closed
+        causes += [f"another column of the file moves {self.output}"] * self.others
+        unless = f", unless {' or '.join(causes)}" if causes else ""
+        return f"NONLINEAR{unless}: {text}; {self.remedy}"
 
     def explain(self) -> str:
         """Return the answer, the tested hypothesis, and the limits of the answer."""
@@ -293,6 +297,7 @@ def _test_once(data: Signals, level: float, loop: OpenLoop | None) -> Linearity:
         rails=tuple(rails),
         remarks=tuple(remarks),
         narrow=is_narrow(channel),
+        others=bool({OTHER_COLUMNS, OTHER_INPUTS} & {*codes_of(data.history)}),
         closed=together,
         output=y,
         input=u,

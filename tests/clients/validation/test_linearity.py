@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import armrig
@@ -159,3 +160,21 @@ def test_a_narrow_band_makes_no_nonlinearity_sure() -> None:
     assert found.narrow
     assert not found.sure
     assert armrig.linearity(data.replaced(step=None, u=np.sign(u))).narrow is False
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_a_column_that_is_not_named_may_explain_a_nonlinearity(named: bool, tmp_path: Path) -> None:
+    """The square of the first input moves y; the second column does nothing."""
+    rng = np.random.default_rng(1)
+    u, v = np.repeat(rng.uniform(0, 2, 60), 20), rng.standard_normal(1200)
+    y = apply_filter([0.0, 0.5], [1.0, -0.8], u**2) + 0.05 * rng.standard_normal(1200)
+    path = tmp_path / "two.csv"
+    columns = [u, y, v] if named else [u, y]
+    np.savetxt(
+        path, np.column_stack(columns), delimiter=",", header="u,y,v"[: 2 * len(columns) - 1]
+    )
+
+    found = armrig.linearity(armrig.load_data(path, Ts=1.0))
+
+    assert found.others is named
+    assert ("unless another column of the file moves y" in repr(found)) is named

@@ -16,6 +16,7 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
 from armrig_core.process.calls import with_argument_checks
 
+from armrig.data.columns import Vector
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.clocks import on_one_clock
 from armrig.data.files.imported_file import GridTable
@@ -31,7 +32,7 @@ from armrig.data.files.table import (
     remedy,
     shorten,
 )
-from armrig.data.step import OTHER_INPUTS, Step
+from armrig.data.step import OTHER_COLUMNS, OTHER_INPUTS, Step
 from armrig.numerics.quantities import plural
 
 MOST_BYTES = 1 << 27
@@ -230,9 +231,14 @@ def _samples(
     columns |= {i: values_of(table, i, "signal") for i in of_y}
     names = {i: table.columns[i].name or "u" * (i in of_u) or "y" for i in columns}
     grid, columns, put_in, history = place(table, columns, of_u, of_y, names, how, are_signals=True)
-    if others := _switching(table, {*of_u, *of_y}):
-        text = f"not in the data, but switching like an input: {', '.join(others)}"
+    others = _other_numbers(table, {*of_u, *of_y})
+    if switching := [name for name, x in others.items() if _switches(x)]:
+        text = f"not in the data, but switching like an input: {', '.join(switching)}"
         history.append(Step(text, OTHER_INPUTS))
+    elif others:
+        history.append(
+            Step(f"{plural(len(others), 'other column')} not in the data", OTHER_COLUMNS)
+        )
     u, y = (np.column_stack([columns[i] for i in indices]) for indices in (of_u, of_y))
     has_inputs = np.isfinite(u).all(axis=1)
     if not has_inputs.any():
@@ -258,19 +264,25 @@ def _samples(
     return named_u, named_y, fields
 
 
-def _switching(table: Table, taken: Collection[int]) -> list[str]:
-    """Return the names of other columns that hold their values and jump, as an input does."""
-    names = []
+def _other_numbers(table: Table, taken: Collection[int]) -> dict[str, Vector]:
+    """Return the known numbers of other columns that change, by name; times are left out."""
+    numbers = {}
     for i in sorted(set(range(len(table.columns))) - {*taken, *time_columns(table)}):
         x = np.empty(0)
         with suppress(FileError):  # words, or a mark that is not known
             x = table.numbers(i)
         x = x[np.isfinite(x)]
-        jumps = np.abs(np.diff(x))
-        jumps = jumps[jumps > 0]
-        if 0 < jumps.size <= _MAX_JUMPS * x.size and np.median(jumps) >= _MIN_JUMP * np.ptp(x):
-            names.append(table.columns[i].name or str(i + 1))
-    return names
+        steps = np.diff(x)
+        if x.size and np.ptp(steps if steps.size else x) > 0:  # a counter is no signal
+            numbers[table.columns[i].name or str(i + 1)] = x
+    return numbers
+
+
+def _switches(x: Vector) -> bool:
+    """Return whether a signal holds its values and jumps, as an input does."""
+    jumps = np.abs(np.diff(x))
+    jumps = jumps[jumps > 0]
+    return bool(0 < jumps.size <= _MAX_JUMPS * x.size and np.median(jumps) >= _MIN_JUMP * np.ptp(x))
 
 
 def _columns(
