@@ -162,7 +162,8 @@ class Linearity:
             chance = f"one linear rig in {1 / self.level:.0f} has such a p by chance"
             return f"perhaps nonlinear: {text}; {chance}: record again"
         causes = [f"a controller computed {self.input} from {self.output}"] * self.closed
-        causes += [f"another column of the file moves {self.output}"] * self.others
+        by_others = self.others and not self.rails
+        causes += [f"another column of the file moves {self.output}"] * by_others
         unless = f", unless {' or '.join(causes)}" if causes else ""
         return f"NONLINEAR{unless}: {text}; {self.remedy}"
 
