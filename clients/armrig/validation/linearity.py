@@ -156,7 +156,7 @@ class Linearity:
         if self.linear:
             return text
         if not self.sure and self.narrow:
-            why = f"the band of {self.input} is narrow, and a longer linear model may explain"
+            why = f"{self.input} determines few lags, and a longer linear model may explain"
             return f"perhaps nonlinear: {text}; {why} {self.output}: record a telegraph or noise"
         if not self.sure:
             chance = f"one linear rig in {1 / self.level:.0f} has such a p by chance"

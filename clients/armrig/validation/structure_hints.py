@@ -49,7 +49,7 @@ PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
 LAGS = (100, 200, 400)  # numbers of lags of the impulse response, tried until one is large enough
 AGREED_SLOPE = 3.0  # largest difference from the slope of the first structure, in dB a decade
 _ROUNDING = 1e-9  # 1/sample; a slower pole counts as a pole at 1
-_NARROW = "the band of u is narrow, so the orders and the delay are hardly determined"
+_NARROW = "u determines few lags, so that orders and delay may be poorly determined"
 _LEAST_DECAYS = 5  # time constants of a record in which the slowest pole is none at 1
 _ZERO_DB = 3.0  # least change of |G| by a zero, up to the fastest pole
 FLAT_SLOPE = 5.0  # largest slope of a gain that counts as constant, in dB a decade
@@ -242,12 +242,14 @@ def structure_hints(
     high = spectrum.omega[high_band(spectrum, believed)]
     fall = high_slope(spectrum, believed)
     seen = late is not None and late.interval[0] <= nk <= late.interval[1]
+    narrow = is_narrow(data)
     return StructureHints(
         doubts=tuple(about_feedback(tests)) if tests.together else (),
-        narrow=is_narrow(data),
+        narrow=narrow,
         structures=tuple(model.structure for model in models),
         integrator=integrates,
-        integrator_shown=is_clear and (integrates or _slowest(best) < data.N / _LEAST_DECAYS),
+        integrator_shown=is_clear
+        and (integrates or (_slowest(best) < data.N / _LEAST_DECAYS and not narrow)),
         low_slope=_confirm_slope(slope - 20, best, low, data.Ts),
         process="" if dips else _process(best, data.Ts),
         high_slope=_confirm_slope(fall, best, high, data.Ts),
@@ -426,7 +428,7 @@ def _findings(h: StructureHints) -> Iterator[Finding]:
     if h.nf != least:
         text += f"; nf = {h.nf} is the smallest whose error on data held out is within "
         text += f"{MAX_RATIO:g} of the least"
-    yield good("order", text)
+    yield good("order", f"perhaps {text}" if h.narrow else text)
     if h.high_slope is not None:
         excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
         text = f"{minus(f'{h.high_slope:.0f}')} dB a decade from {digits(h.high_band[0], 3)} to "
