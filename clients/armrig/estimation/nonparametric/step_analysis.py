@@ -445,8 +445,15 @@ def step_integration(data: Dataset, integrator: bool | None) -> Integration:
     except InputError:
         return decided
     process = _process(y, k, weight, data, steps)
-    settles = process is not None and np.isfinite(_process_numbers(process)["gain"])
+    settles = process is not None and _relative_std(process) < _MAX_RELATIVE_STD
     return Integration(integrates=False) if settles else decided
+
+
+def _relative_std(process: ProcessAnswer) -> float:
+    """Return the deviation of the final value by the farther end of its interval, as a share."""
+    low, high = np.quantile(process.gains, [0.025, 0.975])
+    farther = max(high - process.scale, process.scale - low)
+    return float(farther) / 1.96 / abs(process.scale)
 
 
 def _left_to_rise(y: Vector, noise_std: float) -> float:

@@ -543,6 +543,14 @@ def test_what_a_step_leaves_open_is_not_determined() -> None:
         sampling_time(heated(0.3, noise=0.5), integrator=False)
 
 
+@pytest.mark.parametrize("length", [0.6, 0.9])
+def test_a_response_that_ends_early_is_still_no_rate(length: float) -> None:
+    found = step_analysis(heated(length, noise=0.02))
+
+    assert not found.rate
+    assert np.isnan(found.gain)
+
+
 def test_two_time_constants_are_reported_if_both_are_sure() -> None:
     u = np.repeat([0.0, -2.0], [80, 400])
     t = np.maximum(np.arange(-80, 400) - 20.5, 0.0)
