@@ -251,7 +251,7 @@ def structure_hints(
         integrator_shown=is_clear
         and (integrates or (_slowest(best) < data.N / _LEAST_DECAYS and not narrow)),
         low_slope=_confirm_slope(slope - 20, best, low, data.Ts),
-        process="" if dips else _process(best, data.Ts),
+        process="" if dips or narrow else _process(best, data.Ts),
         high_slope=_confirm_slope(fall, best, high, data.Ts),
         high_band=high,
         relative_degree=max(0, round(-fall / 20)) if high.size else 0,
@@ -429,7 +429,7 @@ def _findings(h: StructureHints) -> Iterator[Finding]:
         text += f"; nf = {h.nf} is the smallest whose error on data held out is within "
         text += f"{MAX_RATIO:g} of the least"
     yield good("order", f"perhaps {text}" if h.narrow else text)
-    if h.high_slope is not None:
+    if h.high_slope is not None and not h.narrow:
         excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
         text = f"{minus(f'{h.high_slope:.0f}')} dB a decade from {digits(h.high_band[0], 3)} to "
         text += f"{digits(h.high_band[-1], 3)} rad/s: {excess} than zeros up to these frequencies"

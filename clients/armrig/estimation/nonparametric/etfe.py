@@ -352,7 +352,7 @@ def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -
             f"of the {P} instants of its period: record more periods"
         )
     bridged = np.where(seen, y, np.nanmean(y, axis=0))
-    decay, tau = decaying_transient(bridged, seen)
+    decay, tau = decaying_transient(bridged, seen, np.flatnonzero(most))
     bridged = np.where(seen, y - decay, np.nanmean(y - decay, axis=0))
     U = np.fft.rfft(part.u[cut][:P])
     Y = np.asarray(np.fft.rfft(bridged, axis=1))

@@ -177,7 +177,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     If y settles like P1D or P2D (one or two time constants with a dead time), all numbers are those
     of this process model. Their deviations contain the steps of a converter (see
     `armrig.estimation.nonparametric.step_process`). The response may then end before it settles: a
-    number that the record leaves open is NaN.
+    number that the record leaves open is NaN. Below 70 % of the final value all are NaN but the
+    dead time, because three time constants look alike until then.
 
     Any other response, and a rate, is described by curves that are drawn from the posterior of a
     Gaussian process, given all samples. Each curve is divided by its own final value (see

@@ -21,8 +21,12 @@ _LEAST_INDEPENDENT = 10.0
 _PASSES = 8  # of a record with missing samples
 
 
-def decaying_transient(y: Matrix, seen: NDArray[np.bool_]) -> tuple[Matrix, float]:
+def decaying_transient(
+    y: Matrix, seen: NDArray[np.bool_], number: Integers | None = None
+) -> tuple[Matrix, float]:
     """Return the transient of y (periods, P), and its longest time constant in samples.
+
+    `number` (periods,) counts the periods from 0 on, where some are left out; by default none is.
 
     A period differs from the next by the transient and by noise. The transient is a sum of at most
     two exponentials exp(-t/tau), so many as the description length (MDL) allows. Coloured noise
@@ -41,7 +45,8 @@ def decaying_transient(y: Matrix, seen: NDArray[np.bool_]) -> tuple[Matrix, floa
     if periods < 2 or np.max(np.abs(y - y.mean(axis=0))) <= least:
         return found
     tau = P * np.geomspace(_SHORTEST, _LONGEST * periods, _RATES)
-    of_period = np.exp(-np.arange(periods)[:, None] * P / tau)
+    number = np.arange(periods) if number is None else number - number[0]
+    of_period = np.exp(-number[:, None] * P / tau)
     of_sample = np.exp(-np.arange(P)[:, None] / tau)
     moving = of_period - of_period.mean(axis=0)
     gram = (moving.T @ moving) * (of_sample.T @ of_sample)

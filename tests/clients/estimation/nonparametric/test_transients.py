@@ -47,3 +47,16 @@ def test_an_oscillation_that_outlasts_the_first_period_is_a_note() -> None:
     notes = armrig.etfe(data(1, [0.0, F.sum()], F)).notes
 
     assert any("the next period differs more than later ones" in text for text in notes)
+
+
+def test_a_period_that_is_left_out_keeps_the_time_of_the_others() -> None:
+    a = np.exp(-0.1 / 20)
+    x = data(1, [0.0, 2 * (1 - a)], [1, -a])
+    lost = x.replaced(step=None, valid=~((x.t >= 40) & (x.t < 55)))
+
+    found = armrig.etfe(lost)
+
+    z = np.exp(-0.1j * found.omega)
+    truth = np.abs(2 * (1 - a) * z / (1 - a * z))
+    assert "3 periods" in found.method
+    np.testing.assert_allclose(np.abs(found.G), truth, rtol=0.01)
